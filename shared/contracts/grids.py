@@ -1,4 +1,4 @@
-"""Grids that services exchange: their contracts, and CF-1.11 netCDF written so that the same data give the same bytes."""
+"""Grids that services exchange: contracts, and CF-1.11 netCDF written so that the same data give the same bytes."""
 
 from __future__ import annotations
 

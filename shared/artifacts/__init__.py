@@ -1,0 +1,1 @@
+"""References, roots, manifests, the store and the catalogue."""

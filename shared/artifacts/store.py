@@ -1,0 +1,191 @@
+"""The artifact store: ``{root}/{case}/{cycle}/{step}/{key}/{name}``, with a manifest put in place last."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import posixpath
+import re
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fsspec
+from pydantic import ValidationError
+
+from shared.artifacts.manifest import MANIFEST, FileEntry, Manifest, Product
+from shared.artifacts.reference import ArtifactRef, media_type
+from shared.artifacts.roots import Location, Roots, is_local, local_path
+from shared.errors import DomainError, TamperedArtifactError
+
+STAGING = ".staging"
+_SEGMENT = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,119}$")
+
+
+@dataclass(frozen=True)
+class StepAddress:
+    """Where a step's files lie below the root."""
+
+    case: str
+    cycle: str
+    step: str
+    key: str
+
+    def __post_init__(self) -> None:
+        for name in ("case", "cycle", "step", "key"):
+            value = getattr(self, name)
+            if not _SEGMENT.match(value):
+                raise DomainError(
+                    f"'{value}' cannot be the name of a {name}.",
+                    field=name,
+                    value=value,
+                    accepted="letters, digits, '.', '_', '+' and '-', not starting with a sign",
+                )
+
+    @property
+    def path(self) -> str:
+        return posixpath.join(self.case, self.cycle, self.step, self.key)
+
+
+class ArtifactStore:
+    """Reads references and commits finished steps; all paths stay under the configured roots."""
+
+    def __init__(self, roots: Roots) -> None:
+        self.roots = roots
+        if is_local(roots.artifact_root):
+            local_path(roots.artifact_root).mkdir(parents=True, exist_ok=True)
+            self._fs, self._root = fsspec.filesystem("file"), str(local_path(roots.artifact_root).resolve())
+        else:
+            self._fs, self._root = fsspec.core.url_to_fs(roots.artifact_root)
+
+    # Reading
+
+    def open_reference(self, reference: ArtifactRef) -> tuple[Location, str]:
+        """The file behind a reference and its hash; TamperedArtifactError if the hash is not the one it states."""
+        location = self.roots.resolve(reference.href)
+        digest = location.sha256()
+        if reference.sha256 and digest != reference.sha256:
+            raise TamperedArtifactError(
+                f"The content of '{reference.name}' has changed since it was referenced.",
+                field="sha256",
+                value=digest,
+                accepted=reference.sha256,
+            )
+        return location, digest
+
+    def product_of(self, location: Location) -> Product | None:
+        """The product attributes of a stored file, from the manifest beside it; None for a file without one."""
+        folder, name = posixpath.split(location.path)
+        manifest = self._read_manifest(location.fs, folder)
+        return manifest.product_of(name) if manifest and name in manifest.files else None
+
+    def load(self, address: StepAddress) -> Manifest | None:
+        """The manifest of a finished step whose files all verify; None if the step is not done."""
+        folder = self._folder(address)
+        manifest = self._read_manifest(self._fs, folder)
+        if manifest is None:
+            return None
+        for name, entry in manifest.files.items():
+            location = Location(self._fs, posixpath.join(folder, name))
+            if not self._fs.isfile(location.path) or location.sha256() != entry.sha256:
+                return None
+        return manifest
+
+    def reference(self, address: StepAddress, name: str, entry: FileEntry) -> ArtifactRef:
+        """The reference to one file of a finished step."""
+        return ArtifactRef(href=self._url(address, name), type=entry.type, sha256=entry.sha256)
+
+    def manifests(self, case: str) -> Iterator[Manifest]:
+        """Every readable manifest of a case, in the order of its path."""
+        for path in sorted(self._fs.glob(posixpath.join(self._root, case, "*", "*", "*", MANIFEST))):
+            manifest = self._read_manifest(self._fs, posixpath.dirname(path))
+            if manifest is not None:
+                yield manifest
+
+    # Writing
+
+    @contextlib.contextmanager
+    def staging(self, owner: str, name: str) -> Iterator[Path]:
+        """A private folder on this machine for the files of one job; gone afterwards, whatever happened."""
+        if is_local(self.roots.artifact_root):
+            folder = Path(self._root) / STAGING / owner / name
+            folder.mkdir(parents=True, exist_ok=True)
+        else:
+            folder = Path(tempfile.mkdtemp(prefix=f"smokeglint-{owner}-"))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def commit(self, address: StepAddress, files: dict[str, Path], manifest: Manifest) -> Manifest:
+        """Move staged files into place, the manifest last. Until it is there, the step is not done."""
+        folder = self._folder(address)
+        self._fs.makedirs(folder, exist_ok=True)
+        target = posixpath.join(folder, MANIFEST)
+        if self._fs.exists(target):
+            self._fs.rm(target)  # it did not verify, else the step would not have run again
+        for name, staged in files.items():
+            self._put(staged, posixpath.join(folder, name))
+        with tempfile.NamedTemporaryFile(dir=next(iter(files.values())).parent, delete=False) as stream:
+            stream.write(manifest.to_bytes())
+        self._put(Path(stream.name), target)
+        return manifest
+
+    def _put(self, staged: Path, target: str) -> None:
+        if "file" in (self._fs.protocol if isinstance(self._fs.protocol, tuple) else (self._fs.protocol,)):
+            with open(staged, "rb") as stream:
+                os.fsync(stream.fileno())
+            staged.chmod(0o644)
+            staged.replace(target)
+        else:
+            self._fs.put_file(str(staged), target)
+
+    def sweep(self, owner: str, steps: Iterable[str]) -> int:
+        """Remove what a killed owner left: its staging folder, and folders of its steps without a manifest."""
+        removed = 0
+        staging = posixpath.join(self._root, STAGING, owner)
+        if self._fs.exists(staging):
+            self._fs.rm(staging, recursive=True)
+            removed += 1
+        for step in steps:
+            for folder in self._fs.glob(posixpath.join(self._root, "*", "*", step, "*")):
+                if self._fs.isdir(folder) and not self._fs.exists(posixpath.join(folder, MANIFEST)):
+                    self._fs.rm(folder, recursive=True)
+                    removed += 1
+        return removed
+
+    def writable(self) -> bool:
+        """Whether a file can be written and removed below the root."""
+        probe = posixpath.join(self._root, STAGING, f"probe-{os.getpid()}")
+        try:
+            self._fs.makedirs(posixpath.dirname(probe), exist_ok=True)
+            self._fs.pipe_file(probe, b"")
+            self._fs.rm(probe)
+        except OSError:
+            return False
+        return True
+
+    def _folder(self, address: StepAddress) -> str:
+        return posixpath.join(self._root, address.path)
+
+    def _url(self, address: StepAddress, name: str) -> str:
+        path = posixpath.join(self._root, address.path, name)
+        return Path(path).as_uri() if is_local(self.roots.artifact_root) else str(self._fs.unstrip_protocol(path))
+
+    def _read_manifest(self, fs: Any, folder: str) -> Manifest | None:
+        path = posixpath.join(folder, MANIFEST)
+        if not fs.exists(path):
+            return None
+        try:
+            return Manifest.model_validate_json(fs.cat_file(path))
+        except ValidationError:
+            return None
+
+
+def describe_file(path: Path, **own: Any) -> FileEntry:
+    """The manifest entry of a staged file; ``own`` may state simulated, simulated_share, oldest_input and source."""
+    digest = Location(fsspec.filesystem("file"), str(path)).sha256()
+    return FileEntry(sha256=digest, size=path.stat().st_size, type=media_type(path.name), **own)

@@ -1,0 +1,120 @@
+"""What a running process sees: its inputs as checked tables and files, its staging folder, its progress report."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shared.artifacts.manifest import Product
+from shared.artifacts.reference import ArtifactRef
+from shared.artifacts.store import ArtifactStore, describe_file
+from shared.errors import ContractError, SmokeglintError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Report = Callable[[float, str], None]
+
+
+class JobContext:
+    """Reads inputs and stages outputs of one job. Nothing it writes is seen before the job is committed."""
+
+    def __init__(self, store: ArtifactStore, staging: Path, product: Product, report: Report) -> None:
+        self._store = store
+        self._staging = staging
+        self._product = product
+        self._report = report
+        self._outputs: dict[str, Path] = {}
+
+    # Inputs
+
+    def path(self, reference: ArtifactRef) -> Path:
+        """A verified local path of an input; fetched into the staging folder if it lies on another store."""
+        location, digest = self._store.open_reference(reference)
+        if location.local is not None:
+            return location.local
+        fetched = self._staging / "inputs" / f"{digest[:16]}-{reference.name}"
+        if not fetched.exists():
+            fetched.parent.mkdir(exist_ok=True)
+            location.fs.get_file(location.path, str(fetched))
+        return fetched
+
+    def read_table(self, reference: ArtifactRef, contract: str) -> pd.DataFrame:
+        """A table checked against the contract of that name (a GeoDataFrame where it has a geometry)."""
+        from shared.contracts import schema, tables  # pandas stays in the worker
+
+        return schema.read_table(self.path(reference), tables.ALL[contract])
+
+    def read_json(self, reference: ArtifactRef) -> Any:
+        """A JSON document; ContractError if it is none."""
+        try:
+            return json.loads(self.path(reference).read_bytes())
+        except ValueError as error:
+            raise ContractError(f"'{reference.name}' is not JSON: {error}", field=reference.name) from error
+
+    # Outputs
+
+    def product_attributes(self) -> dict[str, Any]:
+        """What every product must carry; the writers below put it into tables and JSON documents by themselves."""
+        return self._product.attributes()
+
+    def mark_simulated(self, share: float = 1.0) -> None:
+        """State that this process itself simulates; before the first output, so that every file says so."""
+        if self._outputs:
+            raise SmokeglintError("mark_simulated must come before the first output is written")
+        share = max(share, self._product.simulated_share)
+        self._product = self._product.model_copy(update={"simulated": True, "simulated_share": round(share, 4)})
+
+    def new_file(self, name: str) -> Path:
+        """A path to write an output to; ``ref`` then gives its reference."""
+        path = self._staging / name
+        self._outputs[name] = path
+        return path
+
+    def ref(self, name: str) -> ArtifactRef:
+        """The reference to an output by its bare name; made absolute when the job is committed."""
+        entry = describe_file(self._outputs[name])
+        return ArtifactRef(href=name, type=entry.type, sha256=entry.sha256)
+
+    def write_table(self, name: str, frame: pd.DataFrame, contract: str) -> ArtifactRef:
+        """Check a table against its contract and stage it as Parquet with the product attributes."""
+        from shared.contracts import schema, tables  # pandas stays in the worker
+
+        schema.write_table(self.new_file(name), frame, tables.ALL[contract], self.product_attributes())
+        return self.ref(name)
+
+    def write_json(self, name: str, document: dict[str, Any]) -> ArtifactRef:
+        """Stage a JSON report with the product attributes under ``product``; NaN and infinity become null."""
+        content = {**_finite(document), "product": self.product_attributes()}
+        text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False, default=str)
+        self.new_file(name).write_text(text + "\n", encoding="utf-8")
+        return self.ref(name)
+
+    def progress(self, percent: float, message: str = "") -> None:
+        """Report progress, 0 to 100 per cent."""
+        self._report(min(max(float(percent), 0.0), 100.0), message)
+
+    @property
+    def product(self) -> Product:
+        """The product attributes as they stand."""
+        return self._product
+
+    @property
+    def outputs(self) -> dict[str, Path]:
+        """The staged outputs by name."""
+        return dict(self._outputs)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
+        value = value.item()  # numpy scalars
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

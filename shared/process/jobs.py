@@ -1,0 +1,155 @@
+"""The job register: a database of what was asked and how it went. Losing it loses no work."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+import sqlalchemy as sa
+
+from shared.errors import ConflictError, NotFoundError
+
+Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
+FINAL = ("successful", "failed", "dismissed")
+
+_metadata = sa.MetaData()
+_jobs = sa.Table(
+    "jobs",
+    _metadata,
+    sa.Column("id", sa.String(64), primary_key=True),
+    sa.Column("sequence", sa.Integer, nullable=False),
+    sa.Column("process", sa.String(80), nullable=False),
+    sa.Column("status", sa.String(16), nullable=False),
+    sa.Column("progress", sa.Float, nullable=False, default=0.0),
+    sa.Column("message", sa.Text, nullable=False, default=""),
+    sa.Column("inputs", sa.Text, nullable=False),
+    sa.Column("outputs", sa.Text),
+    sa.Column("problem", sa.Text),
+    sa.Column("idempotency_key", sa.String(200), unique=True),
+    sa.Column("body_hash", sa.String(64), nullable=False),
+    sa.Column("correlation_id", sa.String(128), nullable=False),
+    sa.Column("created", sa.String(32), nullable=False),
+    sa.Column("updated", sa.String(32), nullable=False),
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One request and its state. ``outputs`` and ``problem`` are None until it has ended well or badly."""
+
+    id: str
+    process: str
+    status: Status
+    progress: float
+    message: str
+    inputs: dict[str, Any]
+    outputs: dict[str, Any] | None
+    problem: dict[str, Any] | None
+    correlation_id: str
+    created: str
+    updated: str
+
+    @property
+    def ended(self) -> bool:
+        return self.status in FINAL
+
+
+class JobRegister:
+    """Jobs of one service, one replica a database. Thread-safe through the engine's own connections."""
+
+    def __init__(self, url: str) -> None:
+        options = {"connect_args": {"timeout": 30}} if url.startswith("sqlite") else {}
+        self._engine = sa.create_engine(url, **options)
+        _metadata.create_all(self._engine)
+
+    def close(self) -> None:
+        """Release the database."""
+        self._engine.dispose()
+
+    def submit(
+        self, process: str, inputs: Mapping[str, Any], body_hash: str, idempotency_key: str | None, correlation_id: str
+    ) -> tuple[Job, bool]:
+        """A new job, or the earlier one of the same idempotency key; and whether it is new.
+
+        A key is freed by a job that failed or was dismissed. ConflictError: the key was used for another body.
+        """
+        with self._engine.begin() as connection:
+            if idempotency_key:
+                earlier = self._by_key(connection, idempotency_key, body_hash)
+                if earlier is not None:
+                    return earlier, False
+            sequence = (
+                connection.execute(sa.select(sa.func.coalesce(sa.func.max(_jobs.c.sequence), 0))).scalar_one() + 1
+            )
+            row = {
+                "id": uuid.uuid4().hex,
+                "sequence": sequence,
+                "process": process,
+                "status": "accepted",
+                "progress": 0.0,
+                "message": "",
+                "inputs": json.dumps(inputs),
+                "idempotency_key": idempotency_key,
+                "body_hash": body_hash,
+                "correlation_id": correlation_id,
+                "created": _now(),
+                "updated": _now(),
+            }
+            connection.execute(sa.insert(_jobs).values(row))
+        return self.get(str(row["id"])), True
+
+    def _by_key(self, connection: sa.Connection, key: str, body_hash: str) -> Job | None:
+        row = connection.execute(sa.select(_jobs).where(_jobs.c.idempotency_key == key)).mappings().first()
+        if row is None:
+            return None
+        if row["status"] in ("failed", "dismissed"):
+            connection.execute(sa.update(_jobs).where(_jobs.c.id == row["id"]).values(idempotency_key=None))
+            return None
+        if row["body_hash"] != body_hash:
+            raise ConflictError(f"The Idempotency-Key '{key}' was used for another request; take a new one.")
+        return _job(row)
+
+    def get(self, job_id: str) -> Job:
+        """One job; NotFoundError if there is none of that id."""
+        with self._engine.connect() as connection:
+            row = connection.execute(sa.select(_jobs).where(_jobs.c.id == job_id)).mappings().first()
+        if row is None:
+            raise NotFoundError("job", job_id)
+        return _job(row)
+
+    def all(self, limit: int = 1000) -> list[Job]:
+        """The newest jobs, newest first."""
+        query = sa.select(_jobs).order_by(_jobs.c.sequence.desc()).limit(limit)
+        with self._engine.connect() as connection:
+            return [_job(row) for row in connection.execute(query).mappings()]
+
+    def update(self, job_id: str, status: Status, **values: Any) -> bool:
+        """Move a job on unless it has ended; whether it was moved. ``outputs`` and ``problem`` are mappings."""
+        encoded = {
+            name: json.dumps(value) if name in ("outputs", "problem") else value for name, value in values.items()
+        }
+        change = sa.update(_jobs).where(_jobs.c.id == job_id, _jobs.c.status.not_in(FINAL))
+        with self._engine.begin() as connection:
+            return connection.execute(change.values(status=status, updated=_now(), **encoded)).rowcount > 0
+
+    def recover(self, problem: Mapping[str, Any]) -> list[Job]:
+        """After a restart: running jobs have failed with ``problem``; the queued ones are returned, oldest first."""
+        query = sa.select(_jobs).where(_jobs.c.status == "accepted").order_by(_jobs.c.sequence)
+        failed = sa.update(_jobs).where(_jobs.c.status == "running")
+        with self._engine.begin() as connection:
+            connection.execute(failed.values(status="failed", problem=json.dumps(problem), updated=_now()))
+            return [_job(row) for row in connection.execute(query).mappings()]
+
+
+def _job(row: Mapping[str, Any]) -> Job:
+    decoded = {name: json.loads(row[name]) if row[name] else None for name in ("inputs", "outputs", "problem")}
+    names = ("id", "process", "status", "progress", "message", "correlation_id", "created", "updated")
+    return Job(**{name: row[name] for name in names}, **decoded)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,184 @@
+"""The service's side of its workers: a queue, a thread for each worker process, replacement of killed ones."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import queue
+import threading
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Any
+
+from shared.process.jobs import Job, JobRegister
+from shared.process.metrics import ServiceMetrics
+from shared.process.problem import problem
+from shared.process.worker import worker_main
+from shared.settings import ServiceSettings
+from shared.telemetry import correlation_id, logger
+
+_SPAWN = multiprocessing.get_context("spawn")  # a forked child of a threaded server inherits held locks
+
+
+class WorkerPool:
+    """Runs queued jobs in worker processes; a killed worker costs its job only, and is replaced."""
+
+    def __init__(
+        self, service: str, module: str, settings: ServiceSettings, jobs: JobRegister, metrics: ServiceMetrics
+    ) -> None:
+        self._jobs = jobs
+        self._metrics = metrics
+        self._arguments = (service, module, asdict(settings.roots), settings.log_level)
+        self._queue: queue.Queue[Job | None] = queue.Queue()
+        self._ended: dict[str, threading.Event] = {}
+        self._slots = [_Slot(self) for _ in range(settings.workers)]
+
+    def start(self) -> None:
+        """Start the workers; they get warm while the service already answers."""
+        for slot in self._slots:
+            slot.start()
+
+    def stop(self) -> None:
+        """End the workers; running jobs fail at the next start."""
+        for slot in self._slots:
+            slot.stop()
+        for _ in self._slots:
+            self._queue.put(None)
+
+    @property
+    def ready(self) -> bool:
+        """Whether a worker has loaded its models."""
+        return any(slot.ready for slot in self._slots)
+
+    @property
+    def queued(self) -> int:
+        return self._queue.qsize()
+
+    def submit(self, job: Job) -> None:
+        """Queue a job."""
+        self._ended.setdefault(job.id, threading.Event())
+        self._queue.put(job)
+
+    def wait(self, job_id: str, timeout_s: float | None = None) -> Job:
+        """The job once it has ended (or as it stands after the timeout)."""
+        event = self._ended.get(job_id)
+        if event is not None:
+            event.wait(timeout_s)
+        return self._jobs.get(job_id)
+
+    def dismiss(self, job_id: str) -> None:
+        """Stop a job: one that waits is never started, one that runs loses its worker."""
+        self._jobs.update(job_id, "dismissed", message="dismissed on request")
+        for slot in self._slots:
+            slot.kill_if_running(job_id)
+        self._finish(job_id)
+
+    def _finish(self, job_id: str) -> None:
+        event = self._ended.pop(job_id, None)
+        if event is not None:
+            event.set()
+
+    def _take(self) -> Job | None:
+        return self._queue.get()
+
+
+class _Slot(threading.Thread):
+    """A thread that owns one worker process."""
+
+    def __init__(self, pool: WorkerPool) -> None:
+        super().__init__(name="worker-slot", daemon=True)
+        self._pool = pool
+        self._lock = threading.Lock()
+        self._process: SpawnProcess | None = None
+        self._connection: Connection | None = None
+        self._job_id = ""
+        self._stopping = False
+        self.ready = False
+
+    def run(self) -> None:
+        self._ensure_worker()
+        while (job := self._pool._take()) is not None:
+            correlation_id.set(job.correlation_id)
+            if self._pool._jobs.update(job.id, "running"):
+                with self._pool._metrics.timing(job.process):
+                    self._work(job)
+                self._pool._metrics.count(job.process, self._pool._jobs.get(job.id).status)
+            self._pool._finish(job.id)
+
+    def stop(self) -> None:
+        self._stopping = True
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+
+    def kill_if_running(self, job_id: str) -> None:
+        with self._lock:
+            if self._job_id == job_id and self._process is not None:
+                self._process.kill()
+
+    def _ensure_worker(self) -> Connection:
+        if self._connection is None or self._process is None or not self._process.is_alive():
+            self.ready = False
+            ours, theirs = _SPAWN.Pipe()
+            process = _SPAWN.Process(target=worker_main, args=(theirs, *self._pool._arguments), daemon=True)
+            process.start()
+            theirs.close()
+            with self._lock:
+                self._process, self._connection = process, ours
+            self._await_ready(ours)
+        return self._connection  # type: ignore[return-value]
+
+    def _await_ready(self, connection: Connection) -> None:
+        try:
+            self.ready = json.loads(connection.recv_bytes())["event"] == "ready"
+        except (EOFError, OSError):
+            if not self._stopping:
+                logger().error("a worker ended before it was ready")
+
+    def _work(self, job: Job) -> None:
+        try:
+            connection = self._ensure_worker()
+            with self._lock:
+                self._job_id = job.id
+            if self._pool._jobs.get(job.id).ended:  # dismissed between the queue and here
+                return
+            request = {
+                "job": job.id,
+                "process": job.process,
+                "inputs": job.inputs,
+                "correlation_id": job.correlation_id,
+            }
+            connection.send_bytes(json.dumps(request).encode())
+            while not self._handle(job, json.loads(connection.recv_bytes())):
+                pass
+        except (EOFError, OSError):
+            self._lost(job)
+        finally:
+            with self._lock:
+                self._job_id = ""
+
+    def _handle(self, job: Job, message: dict[str, Any]) -> bool:
+        """Record what the worker says; whether the job has ended."""
+        if message["event"] == "progress":
+            self._pool._jobs.update(job.id, "running", progress=message["percent"], message=message["message"])
+            return False
+        if message["event"] == "done":
+            self._pool._jobs.update(job.id, "successful", progress=100.0, message="", outputs=message["outputs"])
+        else:
+            detail = message["problem"].get("detail", "")
+            self._pool._jobs.update(job.id, "failed", message=detail, problem=message["problem"])
+            logger().warning("job failed", process=job.process, job=job.id, problem=message["problem"])
+        return True
+
+    def _lost(self, job: Job) -> None:
+        if self._process is not None:
+            self._process.join(5)
+        self._connection = None
+        if self._stopping:
+            return
+        detail = "The worker process that ran this job was killed; nothing of it remains. Submit the job again."
+        lost = problem(500, "about:blank", "The worker was lost", detail)
+        if self._pool._jobs.update(job.id, "failed", message=detail, problem=lost):
+            logger().error("worker lost", process=job.process, job=job.id)
+        self._ensure_worker()

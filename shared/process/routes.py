@@ -1,0 +1,169 @@
+"""The paths of OGC API – Processes, Part 1, over a Service."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import JSONResponse, Response
+
+from shared.process import description
+from shared.process.jobs import Job
+from shared.process.problem import MEDIA_TYPE, problem
+from shared.process.service import Answer, Service
+from shared.telemetry import correlation_id
+
+router = APIRouter()
+
+
+def _service(request: Request) -> Service:
+    service: Service = request.app.state.service
+    return service
+
+
+def _base(request: Request) -> str:
+    return str(request.base_url).rstrip("/")
+
+
+@router.get("/", summary="Landing page")
+def landing(request: Request) -> dict[str, Any]:
+    base = _base(request)
+    pages = {
+        "/": ("self", "this page"),
+        "/api": ("service-desc", "the API as OpenAPI"),
+        "/conformance": ("http://www.opengis.net/def/rel/ogc/1.0/conformance", "conformance classes"),
+        "/processes": ("http://www.opengis.net/def/rel/ogc/1.0/processes", "processes"),
+        "/jobs": ("http://www.opengis.net/def/rel/ogc/1.0/job-list", "jobs"),
+    }
+    links = [
+        {"href": base + path, "rel": relation, "type": "application/json", "title": title}
+        for path, (relation, title) in pages.items()
+    ]
+    return {"title": request.app.title, "description": request.app.description, "links": links}
+
+
+@router.get("/conformance", summary="Conformance classes")
+def conformance() -> dict[str, Any]:
+    return {"conformsTo": description.CONFORMANCE}
+
+
+@router.get("/processes", summary="Processes offered")
+def processes(request: Request) -> dict[str, Any]:
+    base = _base(request)
+    listed = [description.summary(process, base) for process in _service(request).processes.values()]
+    link = {"href": f"{base}/processes", "rel": "self", "type": "application/json", "title": "this list"}
+    return {"processes": listed, "links": [link]}
+
+
+@router.get("/processes/{process_id}", summary="One process: its inputs and outputs")
+def process(request: Request, process_id: str) -> dict[str, Any]:
+    return description.description(_service(request).process(process_id), _base(request))
+
+
+@router.post("/processes/{process_id}/execution", summary="Execute a process")
+async def execute(request: Request, process_id: str) -> Response:
+    service = _service(request)
+    service.process(process_id)
+    body = await _body(request, service.settings.max_body_bytes)
+    if isinstance(body, Response):
+        return body
+    key = request.headers.get("Idempotency-Key")
+    answer = await run_in_threadpool(service.execute, process_id, body, key, correlation_id.get())
+    if "respond-async" in request.headers.get("Prefer", ""):
+        return _accepted(request, answer)
+    return JSONResponse(await run_in_threadpool(service.wait, answer))
+
+
+def _accepted(request: Request, answer: Answer) -> Response:
+    location = f"{_base(request)}/jobs/{answer.job.id}"
+    headers = {"Location": location, "Preference-Applied": "respond-async"}
+    return JSONResponse(_status(answer.job, _base(request)), status_code=201, headers=headers)
+
+
+async def _body(request: Request, limit: int) -> bytes | Response:
+    """The request's body, or the problem with it: too large, or no JSON object."""
+    body = b""
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > limit:
+            detail = f"The body is larger than {limit} bytes; pass large inputs by reference."
+            return problem_response(problem(413, "about:blank", "The request is too large", detail))
+    try:
+        parsed = json.loads(body or b"{}")
+    except ValueError as error:
+        return problem_response(problem(400, "about:blank", "The request is not JSON", str(error), field="body"))
+    if not isinstance(parsed, dict):
+        detail = "The body must be a JSON object with the member 'inputs'."
+        return problem_response(problem(400, "about:blank", "The request is not an object", detail, field="body"))
+    return body or b"{}"
+
+
+@router.get("/jobs", summary="Jobs, newest first")
+def jobs(request: Request) -> dict[str, Any]:
+    base = _base(request)
+    listed = [_status(job, base) for job in _service(request).jobs.all()]
+    return {"jobs": listed, "links": [{"href": f"{base}/jobs", "rel": "self", "type": "application/json"}]}
+
+
+@router.get("/jobs/{job_id}", summary="The state of a job")
+def job_status(request: Request, job_id: str) -> dict[str, Any]:
+    return _status(_service(request).jobs.get(job_id), _base(request))
+
+
+@router.get("/jobs/{job_id}/results", summary="The outputs of a job")
+def job_results(request: Request, job_id: str) -> dict[str, Any]:
+    service = _service(request)
+    return service.results(service.jobs.get(job_id))
+
+
+@router.delete("/jobs/{job_id}", summary="Dismiss a job")
+def dismiss(request: Request, job_id: str) -> dict[str, Any]:
+    service = _service(request)
+    if not service.jobs.get(job_id).ended:
+        service.pool.dismiss(job_id)
+    return _status(service.jobs.get(job_id), _base(request))
+
+
+@router.get("/healthz", summary="Whether the service is alive", tags=["operations"])
+def healthz() -> dict[str, str]:
+    return {"status": "alive"}
+
+
+@router.get(
+    "/readyz", summary="Whether the service can work: a worker is warm and the store writable", tags=["operations"]
+)
+def readyz(request: Request) -> Response:
+    service = _service(request)
+    checks = {"worker": service.pool.ready, "store": service.store.writable()}
+    return JSONResponse({"ready": all(checks.values()), **checks}, status_code=200 if all(checks.values()) else 503)
+
+
+@router.get("/metrics", summary="Prometheus metrics", tags=["operations"])
+def metrics(request: Request) -> Response:
+    return Response(_service(request).metrics.page(), media_type="text/plain; version=0.0.4")
+
+
+def problem_response(document: dict[str, Any]) -> Response:
+    """A problem document as an HTTP answer."""
+    return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
+
+
+def _status(job: Job, base: str) -> dict[str, Any]:
+    links = [{"href": f"{base}/jobs/{job.id}", "rel": "self", "type": "application/json"}]
+    if job.status == "successful":
+        relation = "http://www.opengis.net/def/rel/ogc/1.0/results"
+        links.append({"href": f"{base}/jobs/{job.id}/results", "rel": relation, "type": "application/json"})
+    status = {
+        "jobID": job.id,
+        "processID": job.process,
+        "type": "process",
+        "status": job.status,
+        "progress": round(job.progress),
+        "message": job.message,
+        "created": job.created,
+        "updated": job.updated,
+        "links": links,
+    }
+    return status | ({"problem": job.problem} if job.problem else {})

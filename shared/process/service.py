@@ -1,0 +1,118 @@
+"""A service behind its HTTP face: processes, jobs, workers and store, put together from settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from shared.artifacts.store import ArtifactStore
+from shared.errors import DomainError, JobFailedError, NotFoundError
+from shared.process import execution
+from shared.process.declaration import Process, body_hash
+from shared.process.jobs import Job, JobRegister
+from shared.process.metrics import ServiceMetrics
+from shared.process.pool import WorkerPool
+from shared.process.problem import problem
+from shared.settings import ServiceSettings
+from shared.telemetry import logger
+
+
+class ExecuteRequest(BaseModel):
+    """The body of an execution request."""
+
+    model_config = ConfigDict(extra="forbid")
+    inputs: dict[str, Any] = Field(default_factory=dict)
+    outputs: dict[str, Any] | None = Field(None, description="outputs wanted; all if left out")
+    response: str = Field("document", pattern="^document$", description="'document' is the one form offered")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A job and the outputs that its request asked for."""
+
+    job: Job
+    wanted: tuple[str, ...] | None
+
+
+class Service:
+    """Accepts requests, answers from the manifest where it can, and queues the rest."""
+
+    def __init__(self, name: str, processes: list[Process], module: str, settings: ServiceSettings) -> None:
+        self.name = name
+        self.settings = settings
+        self.processes = {process.id: process for process in processes}
+        self._module = module
+        self._version = execution.service_code_version(module)
+        self.metrics = ServiceMetrics(name)
+        self.store = ArtifactStore(settings.roots)
+        self.jobs = JobRegister(settings.database_url(name))
+        self.pool = WorkerPool(name, module, settings, self.jobs, self.metrics)
+        self.metrics.watch_queue(lambda: self.pool.queued)
+
+    def start(self) -> None:
+        """Clear what a killed predecessor left, fail its running jobs, requeue its waiting ones, start the workers."""
+        swept = self.store.sweep(self.name, self.processes)
+        detail = "The service was restarted while this job ran; submit it again."
+        waiting = self.jobs.recover(problem(500, "about:blank", "The service was restarted", detail))
+        logger().info("service starts", code_version=self._version, swept=swept, requeued=len(waiting))
+        for job in waiting:
+            self.pool.submit(job)
+        self.pool.start()
+
+    def stop(self) -> None:
+        """End the workers and release the database."""
+        self.pool.stop()
+        self.jobs.close()
+
+    def process(self, process_id: str) -> Process:
+        """The process of that id; NotFoundError names those there are."""
+        if process_id not in self.processes:
+            known = ", ".join(sorted(self.processes))
+            raise NotFoundError("process", process_id, f"There is no process '{process_id}' here; there are: {known}.")
+        return self.processes[process_id]
+
+    def execute(self, process_id: str, body: bytes, key: str | None, correlation: str) -> Answer:
+        """Accept a request: validate, look for a finished step, else queue a job."""
+        process = self.process(process_id)
+        request = ExecuteRequest.model_validate_json(body)
+        wanted = self._wanted(process, request)
+        inputs = execution.validate_inputs(process, request.inputs)
+        step = execution.resolve_step(process, inputs, self.store, self._version)
+        encoded = inputs.model_dump(mode="json")
+        job, is_new = self.jobs.submit(process_id, encoded, body_hash(process_id, body), key, correlation)
+        if is_new:
+            done = execution.finished_outputs(step, self.store)
+            if done is None:
+                self.pool.submit(job)
+            else:
+                self.jobs.update(job.id, "successful", progress=100.0, message="answered from the store", outputs=done)
+        return Answer(self.jobs.get(job.id), wanted)
+
+    def _wanted(self, process: Process, request: ExecuteRequest) -> tuple[str, ...] | None:
+        if not request.outputs:
+            return None
+        known = process.outputs.model_fields
+        for name in request.outputs:
+            if name not in known:
+                raise DomainError(
+                    f"{process.id} has no output '{name}'.", field="outputs", value=name, accepted=", ".join(known)
+                )
+        return tuple(request.outputs)
+
+    def wait(self, answer: Answer) -> dict[str, Any]:
+        """The outputs of a job once it has ended; JobFailedError with its problem otherwise."""
+        results = self.results(self.pool.wait(answer.job.id))
+        return results if answer.wanted is None else {name: results[name] for name in answer.wanted}
+
+    def results(self, job: Job) -> dict[str, Any]:
+        """The outputs of a job; NotFoundError while there are none, JobFailedError if there never will be."""
+        if job.status == "successful" and job.outputs is not None:
+            return job.outputs
+        if job.status == "failed":
+            raise JobFailedError(job.message, job.problem)
+        if job.status == "dismissed":
+            detail = f"Job {job.id} was dismissed and has no result."
+            raise JobFailedError(detail, problem(410, "about:blank", "The job was dismissed", detail))
+        raise NotFoundError("result", job.id, f"Job {job.id} is {job.status}; ask again later.")

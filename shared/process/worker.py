@@ -1,0 +1,64 @@
+"""The worker process: warm, spawned, one job at a time, speaking JSON lines over a pipe with its service."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import traceback
+from multiprocessing.connection import Connection
+from typing import Any
+
+from shared.artifacts.roots import Roots
+from shared.artifacts.store import ArtifactStore
+from shared.errors import SmokeglintError
+from shared.lifeline import end_with_parent
+from shared.process import execution
+from shared.process.declaration import Process
+from shared.process.problem import problem_of
+from shared.telemetry import configure_logging, correlation_id, logger
+
+
+def worker_main(connection: Connection, service: str, module: str, roots: dict[str, Any], log_level: str) -> None:
+    """Serve jobs until the service closes the pipe or goes away."""
+    end_with_parent(os.getppid())
+    configure_logging(f"{service}-worker", log_level)
+    processes = load_processes(module)
+    store = ArtifactStore(Roots(roots["artifact_root"], tuple(roots["read_roots"])))
+    version = execution.service_code_version(module)
+    _send(connection, {"event": "ready"})
+    while True:
+        try:
+            request = json.loads(connection.recv_bytes())
+        except EOFError:
+            return
+        correlation_id.set(request["correlation_id"])
+        _send(connection, _run(connection, processes[request["process"]], request, store, service, version))
+
+
+def load_processes(module: str) -> dict[str, Process]:
+    """The processes that a module declares in its list ``PROCESSES``, by id."""
+    return {process.id: process for process in importlib.import_module(module).PROCESSES}
+
+
+def _run(
+    connection: Connection, process: Process, request: dict[str, Any], store: ArtifactStore, service: str, version: str
+) -> dict[str, Any]:
+    def report(percent: float, message: str) -> None:
+        _send(connection, {"event": "progress", "percent": percent, "message": message})
+
+    try:
+        inputs = execution.validate_inputs(process, request["inputs"])
+        step = execution.resolve_step(process, inputs, store, version)
+        outputs = execution.finished_outputs(step, store)
+        if outputs is None:
+            outputs = execution.run_step(step, store, service, request["job"], report)
+        return {"event": "done", "outputs": outputs}
+    except Exception as error:
+        if not isinstance(error, SmokeglintError):
+            logger().error("job failed", process=process.id, job=request["job"], trace=traceback.format_exc())
+        return {"event": "failed", "problem": problem_of(error)}
+
+
+def _send(connection: Connection, message: dict[str, Any]) -> None:
+    connection.send_bytes(json.dumps(message).encode())
