@@ -38,4 +38,6 @@ class ServiceSettings(BaseSettings):
 
 def service_settings(service: str) -> ServiceSettings:
     """The settings of the named service from the environment; pydantic's ValidationError names a bad one."""
-    return ServiceSettings(_env_prefix=f"SMOKEGLINT_{service.upper()}_")
+    return ServiceSettings(  # type: ignore[call-arg]
+        _env_prefix=f"SMOKEGLINT_{service.upper()}_"
+    )

@@ -120,6 +120,12 @@ class ArtifactStore:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
+    def discard(self, owner: str, name: str) -> None:
+        """Remove the staging folder of a job whose worker was killed."""
+        folder = posixpath.join(self._root, STAGING, owner, name)
+        if self._fs.exists(folder):
+            self._fs.rm(folder, recursive=True)
+
     def commit(self, address: StepAddress, files: dict[str, Path], manifest: Manifest) -> Manifest:
         """Move staged files into place, the manifest last. Until it is there, the step is not done."""
         folder = self._folder(address)

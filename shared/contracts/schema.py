@@ -70,12 +70,13 @@ class TableSchema:
         self._check_unique(checked)
         if self.has_geometry:
             name = next(c.name for c in present if c.kind == "geometry")
-            return geopandas.GeoDataFrame(checked, geometry=name, crs="EPSG:4326")
+            located: pd.DataFrame = geopandas.GeoDataFrame(checked, geometry=name, crs="EPSG:4326")
+            return located
         return checked
 
     def _coerce(self, column: Column, values: pd.Series[Any]) -> pd.Series[Any]:
         try:
-            coerced = _COERCERS[column.kind](values.reset_index(drop=True))
+            coerced: pd.Series[Any] = _COERCERS[column.kind](values.reset_index(drop=True))
         except (TypeError, ValueError, OverflowError) as error:
             what = f"holds {values.dtype}, not {column.kind} ({error})"
             raise self._fault(column, None, values.dtype, what) from error
@@ -155,7 +156,15 @@ def _as_integer(values: pd.Series[Any], dtype: str) -> pd.Series[Any]:
     known = numbers.notna()
     if not np.all(np.asarray(numbers[known], dtype=np.float64) % 1 == 0):
         raise ValueError("not whole numbers")
-    return numbers.astype(dtype if known.all() else dtype.capitalize())  # pandas' nullable integers
+    chosen: Any = dtype if known.all() else dtype.capitalize()  # pandas' nullable integers
+    whole: pd.Series[Any] = numbers.astype(chosen)
+    return whole
+
+
+def _as_float(values: pd.Series[Any]) -> pd.Series[Any]:
+    numbers: Any = pd.to_numeric(values)
+    floats: pd.Series[Any] = numbers.astype("float64")
+    return floats
 
 
 def _as_text(values: pd.Series[Any]) -> pd.Series[Any]:
@@ -183,7 +192,7 @@ def _as_time(values: pd.Series[Any]) -> pd.Series[Any]:
 _COERCERS: Mapping[str, Any] = {
     "int64": lambda values: _as_integer(values, "int64"),
     "int32": lambda values: _as_integer(values, "int32"),
-    "float64": lambda values: pd.to_numeric(values).astype("float64"),
+    "float64": _as_float,
     "string": _as_text,
     "bool": _as_bool,
     "time": _as_time,

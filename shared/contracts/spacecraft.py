@@ -19,10 +19,12 @@ class SatelliteState(BaseModel):
     """What differs from satellite to satellite at the start of the horizon."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    stored_images_initial: int | None = Field(None, ge=0, description="images in storage at horizon_start")
-    battery_initial_wh: float | None = Field(None, ge=0, description="battery charge at horizon_start, Wh")
+    stored_images_initial: int | None = Field(default=None, ge=0, description="images in storage at horizon_start")
+    battery_initial_wh: float | None = Field(default=None, ge=0, description="battery charge at horizon_start, Wh")
     unavailable: tuple[UnavailableWindow, ...] = ()
-    uplink_margin_s: int | None = Field(None, ge=0, description="from the start of a contact to the first new command")
+    uplink_margin_s: int | None = Field(
+        default=None, ge=0, description="from the start of a contact to the first new command"
+    )
 
 
 class Spacecraft(BaseModel):

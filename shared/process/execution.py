@@ -54,7 +54,7 @@ def resolve_step(process: Process, inputs: ProcessInputs, store: ArtifactStore, 
 def finished_outputs(step: Step, store: ArtifactStore) -> dict[str, Any] | None:
     """The outputs of a step that is already done and verifies, else None."""
     manifest = store.load(step.address)
-    return _absolute(manifest.outputs, step.address, store, manifest) if manifest else None
+    return _outputs(step.address, store, manifest) if manifest else None
 
 
 def run_step(step: Step, store: ArtifactStore, owner: str, job_id: str, report: Report) -> dict[str, Any]:
@@ -75,7 +75,11 @@ def run_step(step: Step, store: ArtifactStore, owner: str, job_id: str, report: 
             files={name: describe_file(path) for name, path in sorted(context.outputs.items())},
         )
         store.commit(step.address, context.outputs, manifest)
-    return _absolute(manifest.outputs, step.address, store, manifest)
+    return _outputs(step.address, store, manifest)
+
+
+def _outputs(address: StepAddress, store: ArtifactStore, manifest: Manifest) -> dict[str, Any]:
+    return {name: _absolute(value, address, store, manifest) for name, value in manifest.outputs.items()}
 
 
 def _absolute(value: Any, address: StepAddress, store: ArtifactStore, manifest: Manifest) -> Any:

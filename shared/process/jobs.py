@@ -111,7 +111,7 @@ class JobRegister:
             return None
         if row["body_hash"] != body_hash:
             raise ConflictError(f"The Idempotency-Key '{key}' was used for another request; take a new one.")
-        return _job(row)
+        return _job(dict(row))
 
     def get(self, job_id: str) -> Job:
         """One job; NotFoundError if there is none of that id."""
@@ -119,13 +119,13 @@ class JobRegister:
             row = connection.execute(sa.select(_jobs).where(_jobs.c.id == job_id)).mappings().first()
         if row is None:
             raise NotFoundError("job", job_id)
-        return _job(row)
+        return _job(dict(row))
 
     def all(self, limit: int = 1000) -> list[Job]:
         """The newest jobs, newest first."""
         query = sa.select(_jobs).order_by(_jobs.c.sequence.desc()).limit(limit)
         with self._engine.connect() as connection:
-            return [_job(row) for row in connection.execute(query).mappings()]
+            return [_job(dict(row)) for row in connection.execute(query).mappings()]
 
     def update(self, job_id: str, status: Status, **values: Any) -> bool:
         """Move a job on unless it has ended; whether it was moved. ``outputs`` and ``problem`` are mappings."""
@@ -142,11 +142,13 @@ class JobRegister:
         failed = sa.update(_jobs).where(_jobs.c.status == "running")
         with self._engine.begin() as connection:
             connection.execute(failed.values(status="failed", problem=json.dumps(problem), updated=_now()))
-            return [_job(row) for row in connection.execute(query).mappings()]
+            return [_job(dict(row)) for row in connection.execute(query).mappings()]
 
 
-def _job(row: Mapping[str, Any]) -> Job:
-    decoded = {name: json.loads(row[name]) if row[name] else None for name in ("inputs", "outputs", "problem")}
+def _job(row: Mapping[Any, Any]) -> Job:
+    decoded: dict[str, Any] = {
+        name: json.loads(row[name]) if row[name] else None for name in ("inputs", "outputs", "problem")
+    }
     names = ("id", "process", "status", "progress", "message", "correlation_id", "created", "updated")
     return Job(**{name: row[name] for name in names}, **decoded)
 

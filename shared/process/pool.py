@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import queue
 import threading
+from collections.abc import Callable
 from dataclasses import asdict
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -25,9 +26,16 @@ class WorkerPool:
     """Runs queued jobs in worker processes; a killed worker costs its job only, and is replaced."""
 
     def __init__(
-        self, service: str, module: str, settings: ServiceSettings, jobs: JobRegister, metrics: ServiceMetrics
+        self,
+        service: str,
+        module: str,
+        settings: ServiceSettings,
+        jobs: JobRegister,
+        metrics: ServiceMetrics,
+        discard: Callable[[str], None],
     ) -> None:
         self._jobs = jobs
+        self._discard = discard
         self._metrics = metrics
         self._arguments = (service, module, asdict(settings.roots), settings.log_level)
         self._queue: queue.Queue[Job | None] = queue.Queue()
@@ -105,6 +113,7 @@ class _Slot(threading.Thread):
                     self._work(job)
                 self._pool._metrics.count(job.process, self._pool._jobs.get(job.id).status)
             self._pool._finish(job.id)
+            self._ensure_worker()  # a killed one is replaced before the next job asks for it
 
     def stop(self) -> None:
         self._stopping = True
@@ -127,7 +136,7 @@ class _Slot(threading.Thread):
             with self._lock:
                 self._process, self._connection = process, ours
             self._await_ready(ours)
-        return self._connection  # type: ignore[return-value]
+        return self._connection
 
     def _await_ready(self, connection: Connection) -> None:
         try:
@@ -175,10 +184,10 @@ class _Slot(threading.Thread):
         if self._process is not None:
             self._process.join(5)
         self._connection = None
+        self._pool._discard(job.id)
         if self._stopping:
             return
         detail = "The worker process that ran this job was killed; nothing of it remains. Submit the job again."
         lost = problem(500, "about:blank", "The worker was lost", detail)
         if self._pool._jobs.update(job.id, "failed", message=detail, problem=lost):
             logger().error("worker lost", process=job.process, job=job.id)
-        self._ensure_worker()

@@ -48,7 +48,9 @@ class Service:
         self.metrics = ServiceMetrics(name)
         self.store = ArtifactStore(settings.roots)
         self.jobs = JobRegister(settings.database_url(name))
-        self.pool = WorkerPool(name, module, settings, self.jobs, self.metrics)
+        self.pool = WorkerPool(
+            name, module, settings, self.jobs, self.metrics, lambda job_id: self.store.discard(name, job_id)
+        )
         self.metrics.watch_queue(lambda: self.pool.queued)
 
     def start(self) -> None:
