@@ -1,0 +1,57 @@
+# Smokeglint. `make help` lists what there is; each target sets up the environment it needs by itself.
+PYTHON ?= python3
+VENV ?= .venv
+CASE ?= demo
+ROOT ?= artifacts
+SERVICES = access prioritization planning retrieval arrival
+PY = $(VENV)/bin/python
+READY = $(VENV)/.ready-$(shell cat requirements.lock pyproject.toml | cksum | cut -d' ' -f1)
+# Spinning OpenMP threads cost eight times the time on shared cores.
+export OMP_WAIT_POLICY = PASSIVE
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
+
+help: ## this list
+	@grep -hE '^[a-z%-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
+
+$(READY):
+	@echo "Setting up the environment in $(VENV) (once; about 2 minutes and 2 GB: PyTorch, solvers, geodata) ..."
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or later is needed (PYTHON=...)"; exit 1; }
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
+	@$(PY) -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	@rm -f $(VENV)/.ready-* && touch $@
+	@echo "The environment is ready."
+
+setup: $(READY) ## set up the environment only
+
+demo: $(READY) ## run two daily cycles of a case: CASE=demo (simulated), tiny, black-2022 (real; needs SMOKEGLINT_DATA)
+	@$(PY) -m flows.demo --case $(CASE) --root $(ROOT)
+
+test: $(READY) ## all tests, in parallel
+	@echo "Running the tests ..."
+	@$(PY) -m pytest -q -n 2 --dist loadgroup $(TESTS)
+
+lint: $(READY) ## ruff, and mypy (strict on shared/)
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/mypy --strict shared
+
+bench: $(SERVICES:%=bench-%) ## every service's benchmark, one JSON object a line
+
+$(SERVICES:%=bench-%): bench-%: $(READY)
+	@$(PY) -m tests.bench.bench_$*
+
+$(SERVICES:%=bench-%-long): bench-%-long: $(READY)
+	@$(PY) -m tests.bench.bench_$* --long
+
+up: ## the services in containers (docker compose)
+	docker compose up --build
+
+lock: $(READY) ## write requirements.lock anew from pyproject.toml
+	@$(VENV)/bin/pip-compile --quiet --extra dev --strip-extras --no-emit-index-url --no-emit-find-links --no-emit-options \
+	  --no-annotate --no-header --output-file requirements.lock pyproject.toml
+	@# A local label such as 2.13.0+cpu is not served by other indexes.
+	@sed -i 's/^torch==\([0-9.]*\)+cpu$$/torch==\1/' requirements.lock
+
+clean: ## remove what runs and tests made (not the environment)
+	rm -rf $(ROOT) .pytest_cache .mypy_cache .ruff_cache .hypothesis .cache
