@@ -1,0 +1,1 @@
+"""Where and when: orbits, specular points, target coverage, station contacts, eclipses."""

@@ -1,0 +1,91 @@
+"""Which ranging code (PRN) a GNSS satellite transmits on a date, from its name or its catalogue number."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, date, datetime
+
+_CODE = re.compile(r"^[GECJ]\d{2}$")
+_PRN_IN_NAME = re.compile(r"\(PRN ([ECJ]?)(\d{2})\)")
+_ALWAYS = (date(1990, 1, 1), date(9999, 12, 31))
+
+
+def _until(year: int, month: int, day: int) -> tuple[date, date]:
+    return _ALWAYS[0], date(year, month, day)
+
+
+def _since(year: int, month: int, day: int) -> tuple[date, date]:
+    return date(year, month, day), _ALWAYS[1]
+
+
+# catalogue number -> (PRN, first day, last day). NAVSTAR 43 is 24876 (SVN 43), and so on in the order of launch.
+# Codes are those of NAVCEN's constellation status and its NANUs (e.g. NANU 2022001: SVN 47 leaves PRN 22 on
+# 2022-01-18 and SVN 41 returns under it on 2022-01-20). Where a code changed hands the limits are the launch of the
+# new holder or the day of that notice, so in the weeks between two holders a satellite may be named that was silent.
+_GPS: dict[int, tuple[tuple[int, tuple[date, date]], ...]] = {
+    24876: ((13, _ALWAYS),),
+    25933: ((11, _until(2021, 6, 16)),),
+    26360: ((20, _ALWAYS),),
+    26407: ((28, _until(2022, 2, 1)),),
+    26605: ((14, _until(2020, 11, 4)), (22, _since(2022, 1, 20))),
+    26690: ((18, _until(2019, 8, 21)),),
+    27663: ((16, _ALWAYS),),
+    27704: ((21, _until(2025, 5, 29)),),
+    28129: ((22, _until(2022, 1, 18)),),
+    28190: ((19, _ALWAYS),),
+    28361: ((23, _until(2020, 6, 29)),),
+    28474: ((2, _ALWAYS),),
+    28874: ((17, _ALWAYS),),
+    29486: ((31, _ALWAYS),),
+    29601: ((12, _ALWAYS),),
+    32260: ((15, _ALWAYS),),
+    32384: ((29, _ALWAYS),),
+    32711: ((7, _ALWAYS),),
+    35752: ((5, _ALWAYS),),
+    36585: ((25, _ALWAYS),),
+    37753: ((1, _until(2024, 12, 16)),),
+    38833: ((24, _ALWAYS),),
+    39166: ((27, _ALWAYS),),
+    39533: ((30, _ALWAYS),),
+    39741: ((6, _ALWAYS),),
+    40105: ((9, _ALWAYS),),
+    40294: ((3, _ALWAYS),),
+    40534: ((26, _ALWAYS),),
+    40730: ((8, _ALWAYS),),
+    41019: ((10, _ALWAYS),),
+    41328: ((32, _ALWAYS),),
+    43873: ((4, _ALWAYS),),
+    44506: ((18, _ALWAYS),),
+    45854: ((23, _ALWAYS),),
+    46826: ((14, _ALWAYS),),
+    48859: ((11, _ALWAYS),),
+    55268: ((28, _ALWAYS),),
+    62339: ((1, _ALWAYS),),
+    64202: ((21, _ALWAYS),),
+}
+
+# Galileo codes have not changed hands; they are those that CelesTrak prints behind the names (GSAT0101 = E11).
+_GALILEO: dict[int, int] = {
+    37846: 11, 37847: 12, 38857: 19, 38858: 20, 40128: 18, 40129: 14, 40544: 26, 40545: 22, 40889: 24, 40890: 30,
+    41174: 9, 41175: 8, 41549: 2, 41550: 1, 41859: 7, 41860: 3, 41861: 4, 41862: 5, 43055: 21, 43056: 25, 43057: 27,
+    43058: 31, 43564: 15, 43565: 33, 43566: 36, 43567: 13, 49809: 34, 49810: 10,
+}  # fmt: skip
+
+
+def transmitter_code(name: str, catalogue_number: int, when: datetime) -> str | None:
+    """The code of a GNSS satellite, ``G07`` or ``E11``: None where none is known for that day.
+
+    Taken from the name (``E11``, or CelesTrak's ``... (PRN 13)`` and ``... (PRN E11)``), else by catalogue number and
+    date (UTC). A satellite that no longer transmits has none.
+    """
+    if _CODE.match(name):
+        return name
+    found = _PRN_IN_NAME.search(name)
+    if found:
+        return f"{found.group(1) or 'G'}{found.group(2)}"
+    day = when.astimezone(UTC).date()
+    for prn, (first, last) in _GPS.get(catalogue_number, ()):
+        if first <= day <= last:
+            return f"G{prn:02d}"
+    galileo = _GALILEO.get(catalogue_number)
+    return None if galileo is None else f"E{galileo:02d}"

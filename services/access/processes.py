@@ -1,0 +1,119 @@
+"""The processes of the access service."""
+
+from __future__ import annotations
+
+from pydantic import AwareDatetime, Field
+
+from shared.artifacts.reference import ArtifactRef
+from shared.process.context import JobContext
+from shared.process.declaration import Process, ProcessInputs, ProcessOutputs
+
+
+class PredictAccessInputs(ProcessInputs):
+    """Orbits, ground stations and point targets, and the time to predict."""
+
+    receivers: ArtifactRef = Field(description="elements of the receiving satellites: TLE text or CCSDS OMM JSON list")
+    transmitters: ArtifactRef = Field(description="elements of the GNSS satellites: TLE text or CCSDS OMM JSON list")
+    stations: ArtifactRef = Field(description="stations table")
+    targets: ArtifactRef = Field(description="targets table: points to be covered")
+    start: AwareDatetime = Field(description="start of the horizon, a whole second, with its time zone")
+    duration_s: int = Field(86400, gt=0, le=14 * 86400, description="length of the horizon, s")
+    step_s: int = Field(1, ge=1, le=600, description="time between images, s; must divide duration_s")
+    target_radius_km: float = Field(
+        10.0, ge=0.1, le=200, description="a target this near (km) to a specular point is covered by the image"
+    )
+    max_incidence_deg: float = Field(
+        65.0, gt=0, le=85, description="largest incidence angle at a specular point, degrees"
+    )
+    max_element_age_days: float = Field(
+        30.0, gt=0, le=365, description="satellites whose elements are further from the start (days) are left out"
+    )
+    with_specular_points: bool = Field(False, description="also write the specular tracks")
+    area: tuple[float, float, float, float] | None = Field(
+        None,
+        description="lon_min, lat_min, lon_max, lat_max (degrees) that specular_points is limited to; "
+        "lon_min > lon_max crosses the dateline; null: the whole globe",
+    )
+
+
+class PredictAccessOutputs(ProcessOutputs):
+    """Where and when each satellite can record, downlink, and draw power from the Sun."""
+
+    opportunities: ArtifactRef = Field(description="opportunities table: a row per image and target")
+    contacts: ArtifactRef = Field(description="contacts table")
+    eclipses: ArtifactRef = Field(description="eclipses table, umbra and penumbra")
+    specular_points: ArtifactRef | None = Field(None, description="specular tracks, where asked for")
+    report: ArtifactRef = Field(description="JSON: ages of the elements, warnings, satellites left out, counts")
+    opportunity_count: int = Field(description="rows of opportunities")
+    image_count: int = Field(description="images that cover at least one target")
+    contact_count: int = Field(description="rows of contacts")
+    eclipse_count: int = Field(description="rows of eclipses")
+    targets_covered: int = Field(description="targets covered by at least one image")
+
+
+def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictAccessOutputs:
+    """Run one prediction; core errors name the field, line or row at fault."""
+    import numpy as np
+
+    from services.access import prediction, products
+    from services.access.contacts import Station
+    from services.access.elements import read_elements
+
+    targets = context.read_table(inputs.targets, "TARGETS")
+    stations = [
+        Station(row.station, row.latitude_deg, row.longitude_deg, row.height_m, row.mask_deg, row.datum)
+        for row in context.read_table(inputs.stations, "STATIONS").itertuples()
+    ]
+    receivers, transmitters = (
+        read_elements(context.path(reference).read_text(encoding="utf-8", errors="replace"), name)
+        for name, reference in (("receivers", inputs.receivers), ("transmitters", inputs.transmitters))
+    )
+    access = prediction.predict(
+        receivers,
+        transmitters,
+        stations,
+        (targets.geometry.y.to_numpy(), targets.geometry.x.to_numpy()),
+        prediction.Horizon(inputs.start, inputs.duration_s, inputs.step_s),
+        prediction.AccessOptions(
+            target_radius_km=inputs.target_radius_km,
+            max_incidence_deg=inputs.max_incidence_deg,
+            max_element_age_days=inputs.max_element_age_days,
+            with_specular_points=inputs.with_specular_points,
+            area=inputs.area,
+        ),
+        context.progress,
+    )
+    context.progress(85, "writing tables")
+    summary = products.report(access, len(targets))
+    opportunities = products.opportunities_frame(access, targets["target_id"].to_numpy(np.int64))
+    points = None
+    if inputs.with_specular_points:
+        points = context.write_table(
+            "specular_points.parquet", products.specular_points_frame(access), "SPECULAR_POINTS"
+        )
+    counts = summary["counts"]
+    return PredictAccessOutputs(
+        opportunities=context.write_table("opportunities.parquet", opportunities, "OPPORTUNITIES"),
+        contacts=context.write_table("contacts.parquet", products.contacts_frame(access), "CONTACTS"),
+        eclipses=context.write_table("eclipses.parquet", products.eclipses_frame(access), "ECLIPSES"),
+        specular_points=points,
+        report=context.write_json("report.json", summary),
+        opportunity_count=counts["opportunities"],
+        image_count=counts["images"],
+        contact_count=counts["contacts"],
+        eclipse_count=counts["eclipses"],
+        targets_covered=counts["targets_covered"],
+    )
+
+
+PROCESSES = [
+    Process(
+        id="predict-access",
+        title="Predict access",
+        description="Specular points of GNSS-R satellites on WGS84, the targets they cover second by second, contacts "
+        "with ground stations and eclipses, from two-line elements or OMM by SGP4.",
+        inputs=PredictAccessInputs,
+        outputs=PredictAccessOutputs,
+        run=predict_access,
+    )
+]
