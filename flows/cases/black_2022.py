@@ -51,8 +51,8 @@ def build_black_2022(
     """Make the Black Fire case in a folder; MissingArtifactError names a file that the data folder lacks.
 
     Real: elements, stations, HMS fire points, WFIGS perimeters and incident, NDVI (of 2001). Derived: no-fire looks.
-    Simulated and marked so: weather, fuels other than NDVI, soil moisture, and the surface for the DDM simulator, whose burn
-    times are shared out between the perimeters.
+    Simulated and marked so: weather, fuels other than NDVI, soil moisture, and the surface for the DDM simulator,
+    whose burn times are shared out between the perimeters.
     """
     source = _sources(Path(data_root))
     root = Path(folder)
@@ -115,28 +115,32 @@ def _write_fire(root: Path, source: dict[str, Path], setting: Setting) -> FireGr
     """Write perimeters, incident, reports and detections; give the arrival that lies between the perimeters."""
     perimeters = trusted_perimeters(source["perimeters"], "Black")
     write_table(root / "perimeters.parquet", perimeters, tables.PERIMETERS)
-    record = pd.read_parquet(
-        source["perimeters"], columns=["incident", "discovered", "initial_lat_deg", "initial_lon_deg"]
-    )
-    record = record[record.incident == "Black"].iloc[0]
-    origin = (float(record.initial_lon_deg), float(record.initial_lat_deg))
+    discovered, origin = _discovery(source["perimeters"])
     incident = pd.DataFrame(
         {
             "incident_id": [perimeters.incident_id.iloc[0]],
             "name": ["Black"],
-            "start": [record.discovered],
+            "start": [discovered],
             "area_km2": [np.nan],
-            "known_at": [record.discovered + KNOWN_AFTER],
+            "known_at": [discovered + KNOWN_AFTER],
         }
     )
     point = geopandas.points_from_xy([origin[0]], [origin[1]])
-    write_table(root / "incidents.parquet", geopandas.GeoDataFrame(incident, geometry=point, crs=4326), tables.INCIDENTS)
+    incidents = geopandas.GeoDataFrame(incident, geometry=point, crs=4326)
+    write_table(root / "incidents.parquet", incidents, tables.INCIDENTS)
     write_plain_table(root / "incident_reports.parquet", area_reports(perimeters))
     fires = hms_fires(source["detections"], REGION, *PERIOD)
     looks = derived_no_fire(fires, read_elements(source["overpasses"]), origin)
     detections = pd.concat([fires, looks], ignore_index=True).sort_values(["time", "satellite"], kind="stable")
     write_table(root / "detections.parquet", with_points(detections), tables.DETECTIONS)
-    return arrival_between(perimeters, origin, record.discovered, setting.start, epsg=setting.utm_epsg)
+    return arrival_between(perimeters, origin, discovered, setting.start, epsg=setting.utm_epsg)
+
+
+def _discovery(path: Path) -> tuple[pd.Timestamp, tuple[float, float]]:
+    """When the fire was discovered, and its initial point (longitude, latitude in degrees)."""
+    table = pd.read_parquet(path, columns=["incident", "discovered", "initial_lat_deg", "initial_lon_deg"])
+    record = table[table.incident == "Black"].to_dict("records")[0]
+    return pd.Timestamp(record["discovered"]), (float(record["initial_lon_deg"]), float(record["initial_lat_deg"]))
 
 
 def _write_simulated(root: Path, run: NatureRun, fire: FireGrid, ndvi: dict[str, FloatArray]) -> None:
@@ -175,7 +179,10 @@ def _provenance(setting: Setting) -> dict[str, Provenance]:
     discovered = datetime(2022, 5, 14, 3, 30, tzinfo=UTC)
     made = f"simulated, seed {setting.seed}"
     orbits = "two-line elements of 2022-05-05 (CelesTrak): 9 to 25 days old during the fire"
-    hms = "NOAA HMS VIIRS and MODIS points, delivery taken as 3 h after the overpass, confidence not given; no-fire looks derived from satellite passes"
+    hms = (
+        "NOAA HMS VIIRS and MODIS points, delivery taken as 3 h after the overpass, confidence not given; "
+        "no-fire looks derived from satellite passes (column derived)"
+    )
     wfigs = "NIFC WFIGS"
     between = "burn times shared out between WFIGS perimeters (so not independent of them); soil and vegetation " + made
     simulated = ("weather_analysis", "weather_forecast", "smap")

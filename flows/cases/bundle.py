@@ -162,7 +162,10 @@ def _entry(section: Mapping[str, Any], name: str, kind: Any) -> Any:
     if not isinstance(value, kind):
         words = " or ".join(k.__name__ for k in kind) if isinstance(kind, tuple) else kind.__name__
         raise ContractError(
-            f"{CASE_FILE}: case.{name} is {value!r}; accepted: {words}.", field=f"case.{name}", value=value, accepted=words
+            f"{CASE_FILE}: case.{name} is {value!r}; accepted: {words}.",
+            field=f"case.{name}",
+            value=value,
+            accepted=words,
         )
     return value
 

@@ -65,7 +65,8 @@ def read_elements(path: Path) -> dict[str, Satrec]:
 def subsatellite_unit_vectors(satellite: Satrec, times: np.ndarray) -> FloatArray:
     """Unit vectors (n, 3) to the satellite, Earth-fixed (TEME turned by Greenwich mean sidereal time).
 
-    Good to some kilometres, which is all that a question of swaths needs. Sidereal time: Vallado (2013), eq. 3-47, linear term.
+    Good to some kilometres, which is all that a question of swaths needs. Sidereal time: Vallado (2013), eq. 3-47,
+    its linear term.
     """
     julian = times.astype("datetime64[ms]").astype(np.float64) / 86_400_000.0 + 2440587.5
     error, position, _ = satellite.sgp4_array(np.floor(julian), julian - np.floor(julian))
@@ -142,7 +143,8 @@ def _looks(chosen: FloatArray, example: pd.Series, centre: tuple[float, float]) 
 def _lattice(centre: tuple[float, float]) -> FloatArray:
     steps = np.arange(-AROUND_KM, AROUND_KM + 0.1, LATTICE_KM)
     east, north = (part.ravel() for part in np.meshgrid(steps, steps))
-    return np.stack([east, north], axis=1)
+    within = np.hypot(east, north) <= AROUND_KM - KEEP_OFF_KM  # so that every fire point that matters has been read
+    return np.stack([east[within], north[within]], axis=1)
 
 
 def _plane(table: pd.DataFrame, centre: tuple[float, float]) -> FloatArray:

@@ -52,7 +52,10 @@ def weather_known_at(case: Case, cutoff: datetime, from_time: datetime | None = 
         issues = opened["issue"].values
         if not (issues <= limit).any():
             raise DomainError(
-                f"No forecast had been issued by {cutoff}.", field="cutoff", value=cutoff, accepted=f"from {issues.min()}"
+                f"No forecast had been issued by {cutoff}.",
+                field="cutoff",
+                value=cutoff,
+                accepted=f"from {issues.min()}",
             )
         forecast = opened.isel(issue=int(np.flatnonzero(issues <= limit)[-1])).load()
     analysis = analysis.isel(time=np.flatnonzero(analysis["issued_at"].values <= limit))

@@ -53,10 +53,12 @@ def arrival_between(
     cell_m: float = 250.0,
     margin_m: float = 6000.0,
 ) -> FireGrid:
-    """A fire arrival that has every perimeter burned when it became known, hours since ``start``.
+    """A fire arrival that has every perimeter burned at the time it is dated, hours since ``start``.
 
     From the origin (longitude, latitude in degrees) at ``discovered`` on, the time between two outlines is shared out
-    by the distance to each. A stand-in for the truth that the DDM simulator needs, not an observation.
+    by the distance to each. The date is the early end of the span in which the fire had the outline; taking the late
+    one (the scrape) would have the Black Fire's arrival more than an hour after 84 % of the VIIRS points of 14-21 May
+    inside the outlines, the date after 18 %. A stand-in for the truth that the DDM simulator needs, not an observation.
     """
     to_utm = Transformer.from_crs(4326, epsg, always_xy=True)
     outlines = geopandas.GeoSeries(perimeters.geometry).to_crs(epsg)
@@ -68,11 +70,11 @@ def arrival_between(
     burned = np.hypot(x - where[0], y - where[1]) < cell_m
     hour = _hours(discovered, start)
     arrival = np.where(burned, hour, np.nan)
-    for outline, known_at in zip(outlines, perimeters.known_at, strict=True):
+    for outline, dated in zip(outlines, perimeters.time, strict=True):
         shapely.prepare(outline)
         reached = burned | shapely.contains_xy(outline, x, y)
         inner, outer = distance_transform_edt(~burned), distance_transform_edt(reached)
-        later = _hours(known_at, start)
+        later = _hours(dated, start)
         fresh = reached & ~burned
         share = inner[fresh] / (inner[fresh] + outer[fresh])
         arrival[fresh] = hour + share * (later - hour)

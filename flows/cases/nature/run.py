@@ -43,7 +43,7 @@ def burned_km2(fire: FireGrid, time_h: float) -> float:
 
 
 def truth_dataset(setting: Setting, fires: tuple[FireGrid, ...], reference_time: str) -> xr.Dataset:
-    """Fire arrival of every incident on its own UTM window: ``fire_arrival_time_<id>`` (y_<id>, x_<id>), s, NaN unburned."""
+    """Fire arrival of every incident on a UTM window of its own, s, NaN unburned: ``fire_arrival_time_<id>``."""
     dataset = xr.Dataset(attrs={"reference_time": reference_time, "source": "simulated"})
     for fire in fires:
         label = fire.incident_id

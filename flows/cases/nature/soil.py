@@ -85,8 +85,9 @@ def ease_cells(setting: Setting) -> pd.DataFrame:
     forward = Transformer.from_crs(4326, 6933, always_xy=True)
     west, south, east, north = setting.region
     x, y = forward.transform(np.array([west, east]), np.array([south, north]))
-    columns = np.arange(*(np.floor((x - EASE_X_MIN_M) / EASE_CELL_M).astype(int) + [0, 1]))
-    rows = np.arange(*(np.floor((EASE_Y_MAX_M - y[::-1]) / EASE_CELL_M).astype(int) + [0, 1]))
+    first_column, last_column = np.floor((x - EASE_X_MIN_M) / EASE_CELL_M).astype(int)
+    last_row, first_row = np.floor((EASE_Y_MAX_M - y) / EASE_CELL_M).astype(int)
+    columns, rows = np.arange(first_column, last_column + 1), np.arange(first_row, last_row + 1)
     column, row = (part.ravel() for part in np.meshgrid(columns, rows))
     longitude, latitude = Transformer.from_crs(6933, 4326, always_xy=True).transform(
         EASE_X_MIN_M + (column + 0.5) * EASE_CELL_M, EASE_Y_MAX_M - (row + 0.5) * EASE_CELL_M

@@ -73,7 +73,9 @@ class Weather:
         start = self.setting.start
         return (start.hour + start.minute / 60 + time + longitude / 15.0) % 24.0
 
-    def _temperature(self, longitude: FloatArray, latitude: FloatArray, time: FloatArray, rain: FloatArray) -> FloatArray:
+    def _temperature(
+        self, longitude: FloatArray, latitude: FloatArray, time: FloatArray, rain: FloatArray
+    ) -> FloatArray:
         lapse = -0.0065 * (self.land.elevation_m(longitude, latitude) - 1900.0)
         diurnal = 8.0 * np.cos(2 * np.pi * (self._solar_hour(longitude, time) - 15.0) / 24.0)
         changes = 2.2 * self.synoptic["temperature"].at(longitude, latitude, time)
@@ -107,10 +109,9 @@ def relative_humidity(temperature_c: FloatArray, dewpoint_c: FloatArray) -> Floa
 def make_weather(setting: Setting, land: Land) -> Weather:
     """The weather from the setting's seed."""
     rng = setting.generator("weather")
-    names = ("temperature", "dewpoint", "direction", "speed")
-    synoptic = {name: random_field(rng, 350.0, correlation_h=30.0, modes=24) for name in names}
-    names = ("temperature", "east", "north")
-    local = {name: random_field(rng, 35.0, correlation_h=6.0, modes=24) for name in names}
+    large, small = ("temperature", "dewpoint", "direction", "speed"), ("temperature", "east", "north")
+    synoptic = {name: random_field(rng, 350.0, correlation_h=30.0, modes=24) for name in large}
+    local = {name: random_field(rng, 35.0, correlation_h=6.0, modes=24) for name in small}
     return Weather(setting, land, _make_storms(setting), synoptic, local)
 
 
