@@ -131,7 +131,9 @@ def _write_fire(root: Path, source: dict[str, Path], setting: Setting) -> FireGr
     write_plain_table(root / "incident_reports.parquet", area_reports(perimeters))
     fires = hms_fires(source["detections"], REGION, *PERIOD)
     looks = derived_no_fire(fires, read_elements(source["overpasses"]), origin)
-    detections = pd.concat([fires, looks], ignore_index=True).sort_values(["time", "satellite"], kind="stable")
+    detections = pd.concat([fires, looks], ignore_index=True).sort_values(
+        ["time", "satellite"], kind="stable", ignore_index=True
+    )
     write_table(root / "detections.parquet", with_points(detections), tables.DETECTIONS)
     return arrival_between(perimeters, origin, discovered, setting.start, epsg=setting.utm_epsg)
 
