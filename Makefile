@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 CASE ?= demo
 ROOT ?= artifacts
+# e.g. PIP_ARGS="--index-url URL" for an index of your own; where torch would come with CUDA, name a CPU index here.
+PIP_ARGS ?=
 SERVICES = access prioritization planning retrieval arrival
 PY = $(VENV)/bin/python
 READY = $(VENV)/.ready-$(shell cat requirements.lock pyproject.toml | cksum | cut -d' ' -f1)
@@ -19,7 +21,7 @@ $(READY):
 	@echo "Setting up the environment in $(VENV) (once; about 2 minutes and 2 GB: PyTorch, solvers, geodata) ..."
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or later is needed (PYTHON=...)"; exit 1; }
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
-	@$(PY) -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	@$(PY) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) --requirement requirements.lock
 	@rm -f $(VENV)/.ready-* && touch $@
 	@echo "The environment is ready."
 

@@ -45,6 +45,12 @@ class Spacecraft(BaseModel):
     uplink_margin_s: int = Field(0, ge=0, description="from the start of a contact to the first new command")
     satellites: dict[str, SatelliteState] = Field(default_factory=dict)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _without_product(cls, values: Any) -> Any:
+        """A document that a step wrote also says what made it; that is no part of the spacecraft."""
+        return {name: value for name, value in values.items() if name != "product"} if isinstance(values, dict) else values
+
     @model_validator(mode="after")
     def _charge_fits(self) -> Spacecraft:
         if not self.battery_min_wh <= self.battery_initial_wh <= self.battery_capacity_wh:

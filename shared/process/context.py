@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shared.artifacts.manifest import Product
+from shared.artifacts.manifest import FileEntry, Product
 from shared.artifacts.reference import ArtifactRef
 from shared.artifacts.store import ArtifactStore, describe_file
 from shared.errors import ContractError, SmokeglintError
@@ -28,6 +28,7 @@ class JobContext:
         self._product = product
         self._report = report
         self._outputs: dict[str, Path] = {}
+        self._own: dict[str, dict[str, Any]] = {}
 
     # Inputs
 
@@ -74,6 +75,10 @@ class JobContext:
         self._outputs[name] = path
         return path
 
+    def describe(self, name: str, **own: Any) -> None:
+        """State ``simulated``, ``simulated_share``, ``oldest_input`` or ``source`` of one file where it differs."""
+        self._own[name] = own
+
     def ref(self, name: str) -> ArtifactRef:
         """The reference to an output by its bare name; made absolute when the job is committed."""
         entry = describe_file(self._outputs[name])
@@ -106,6 +111,10 @@ class JobContext:
     def outputs(self) -> dict[str, Path]:
         """The staged outputs by name."""
         return dict(self._outputs)
+
+    def entries(self) -> dict[str, FileEntry]:
+        """The manifest entries of the staged outputs."""
+        return {name: describe_file(path, **self._own.get(name, {})) for name, path in sorted(self._outputs.items())}
 
 
 def _finite(value: Any) -> Any:

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from shared.artifacts.manifest import InputEntry, Manifest, Product, combine, step_key
 from shared.artifacts.reference import ArtifactRef
-from shared.artifacts.store import ArtifactStore, StepAddress, describe_file
+from shared.artifacts.store import ArtifactStore, StepAddress
 from shared.errors import SmokeglintError
 from shared.process.context import JobContext, Report
 from shared.process.declaration import Process, ProcessInputs, parameters, references
@@ -72,7 +72,7 @@ def run_step(step: Step, store: ArtifactStore, owner: str, job_id: str, report: 
             inputs=step.entries,
             parameters=parameters(step.inputs),
             outputs=outputs.model_dump(mode="json"),
-            files={name: describe_file(path) for name, path in sorted(context.outputs.items())},
+            files=context.entries(),
         )
         store.commit(step.address, context.outputs, manifest)
     return _outputs(step.address, store, manifest)

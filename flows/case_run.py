@@ -1,0 +1,188 @@
+"""All cycles of a case, each as one Prefect flow run, and what is made of them at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from flows.case_store import BUNDLE, CALIBRATION, calibrate, import_into_store
+from flows.cases.bundle import Case
+from flows.catalogue import write_catalogue
+from flows.comparison import compare_cycles, local_file, read_reference
+from flows.cycle import PrefectRunner, close_stale_runs, run_as_flow
+from flows.loop import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label, run_cycle
+from flows.profiles import Profile
+from flows.runner import DirectRunner, Display
+from flows.steps import ASSEMBLE_INPUTS, SCORE, SCORE_PERIMETER, SITUATION
+from shared.artifacts.store import ArtifactStore
+from shared.contracts import tables
+
+PLAIN = "no-feedback"
+PERIMETERS = "perimeters"
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """What a person is shown of a finished case."""
+
+    cycles: list[CycleProducts]
+    changes: Mapping[str, Any]
+    perimeters: list[Mapping[str, Any]]
+    shown: list[Path]
+    stale_runs: int
+
+
+@dataclass
+class _CaseRun:
+    """One case under way: where each named part runs, and everything made so far."""
+
+    case: Case
+    store: ArtifactStore
+    urls: Mapping[str, str]
+    display: Display
+    profile: Profile
+    made: list[dict[str, Any]]
+
+    def runner(self, part: str) -> DirectRunner:
+        """A runner whose products lie under that part of the case; its name is also the correlation id."""
+        name = f"{self.case.name}-{part}"
+        return DirectRunner(self.urls, self.store, name, self.display, self.case.name, part, self.made)
+
+    def as_flow(self, part: str, run: Any) -> Any:
+        runner = PrefectRunner(self.runner(part))
+        return run_as_flow(f"{self.case.name}-{part}", lambda: run(runner))
+
+
+def run_case(
+    case: Case,
+    store: ArtifactStore,
+    root: Path,
+    urls: Mapping[str, str],
+    display: Display,
+    profile: Profile,
+    feedback: frozenset[str],
+    cycles: int,
+    *,
+    again_plain: bool,
+) -> CaseResult:
+    """Import, calibrate, run the cycles in order, compare with no feedback, score, write the catalogue."""
+    stale = close_stale_runs()
+    run = _CaseRun(case, store, urls, display, profile, [])
+    settings = profile.settings
+    inputs = run.as_flow(BUNDLE, lambda runner: import_into_store(runner, case))
+    inputs = run.as_flow(
+        CALIBRATION,
+        lambda runner: calibrate(runner, inputs, profile.calibration_days, profile.calibration_step_s, settings.seed),
+    )
+    done: list[CycleProducts] = []
+    before = Handover()
+    for number in range(1, cycles + 1):
+        last = _cycle(run, inputs, number, before, feedback, cycle_label(_cutoff(case, number, settings)))
+        done.append(last)
+        if number < cycles:
+            before = last.handover
+    changes: Mapping[str, Any] = {}
+    if again_plain and cycles > 1:
+        plain = _cycle(run, inputs, cycles, before, frozenset(), f"{done[-1].label}-{PLAIN}")
+        changes = compare_cycles(done[-1].steps, plain.steps)
+    perimeters = _perimeter_scores(run, inputs, done) if "perimeters" in inputs.inputs else []
+    times = _times(case, done)
+    catalogue = write_catalogue(store, root, case.name, case.title, case.region, times, run.made)
+    shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
+    shown += [local_file(reference) for reference in done[-1].steps["infer-fire-arrival"]["maps"]]
+    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale)
+
+
+def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
+    return case.cutoff(number, settings.cycle_hours)
+
+
+def _cycle(
+    run: _CaseRun, inputs: CaseInputs, number: int, before: Handover, feedback: frozenset[str], part: str
+) -> CycleProducts:
+    settings = run.profile.settings
+    cutoff = _cutoff(run.case, number, settings)
+
+    def whole(runner: PrefectRunner) -> CycleProducts:
+        products = run_cycle(runner, inputs, cutoff, before, feedback, settings)
+        return replace(products, steps={**products.steps, **_publish(runner, run.case, inputs, products)})
+
+    finished: CycleProducts = run.as_flow(part, whole)
+    return finished
+
+
+def _publish(
+    runner: PrefectRunner, case: Case, inputs: CaseInputs, cycle: CycleProducts
+) -> dict[str, Mapping[str, Any]]:
+    """The map and the scores of a finished cycle."""
+    steps = cycle.steps
+    truth = inputs.nature.get("truth")
+    arrival = steps["infer-fire-arrival"]["fire_arrival"]
+    burned = steps["retrieve-burned-area"]["burned_area"]
+    drawn = {
+        "title": case.title,
+        "region": list(case.region),
+        "cutoff": cycle.cutoff.isoformat(),
+        "end": cycle.end.isoformat(),
+        "targets": steps["build-targets"]["targets"],
+        "schedule": steps["plan-observations"]["schedule"],
+        "opportunities": steps["predict-access"]["opportunities"],
+        "as_run": steps["execute"]["as_run"],
+        "burned_area": burned,
+        "fire_arrival": arrival,
+        "detections": steps["known-at-end"]["detections"],
+        "truth": truth,
+    }
+    scored = {"fire_arrival": arrival, "burned_area": burned, "at": cycle.end.isoformat(), "truth": truth}
+    return {"situation": runner.local(SITUATION, drawn), "score": runner.local(SCORE, scored)}
+
+
+def _perimeter_scores(run: _CaseRun, inputs: CaseInputs, done: Sequence[CycleProducts]) -> list[Mapping[str, Any]]:
+    """For each mapped perimeter: the arrival map from the data up to it only, and its scores."""
+    table = read_reference(inputs.inputs["perimeters"], tables.PERIMETERS).sort_values("time")
+    return [
+        run.as_flow(PERIMETERS, lambda runner, row=row: _score_one(runner, run, inputs, done, row))
+        for row in table.itertuples()
+    ]
+
+
+def _score_one(
+    runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, done: Sequence[CycleProducts], row: Any
+) -> Mapping[str, Any]:
+    time: pd.Timestamp = row.time
+    names = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
+    given = {name: inputs.inputs.get(name) for name in names}
+    known = runner.local(ASSEMBLE_INPUTS, {"cutoff": time.isoformat(), **given})
+    burned = [c.steps["retrieve-burned-area"]["burned_area"] for c in done if c.end <= time]
+    arrival = runner.service(
+        "arrival",
+        "infer-fire-arrival",
+        {
+            "detections": known["detections"],
+            "incidents": known["incidents"],
+            "burned_area": burned,
+            "start": (run.case.first_cutoff - timedelta(days=3)).isoformat(),
+            "end": time.isoformat(),
+            "seed": run.profile.settings.seed,
+            **run.profile.settings.arrival,
+        },
+    )
+    scored = {
+        "fire_arrival": arrival["fire_arrival"],
+        "perimeters": inputs.inputs["perimeters"],
+        "incident_id": row.incident_id,
+        "time": time.isoformat(),
+    }
+    values = runner.local(SCORE_PERIMETER, scored)["values"]
+    return {"incident_id": row.incident_id, "time": time.isoformat(), **values}
+
+
+def _times(case: Case, done: Sequence[CycleProducts]) -> dict[str, Any]:
+    """The time of each part of the case, for its catalogue."""
+    parts = {BUNDLE: case.first_cutoff, CALIBRATION: case.first_cutoff, PERIMETERS: done[-1].end}
+    return parts | {c.label: c.cutoff for c in done} | {f"{done[-1].label}-{PLAIN}": done[-1].cutoff}

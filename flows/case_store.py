@@ -1,0 +1,67 @@
+"""A case as the loop uses it: imported into the store, and calibrated on the days before its first cycle."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from datetime import timedelta
+
+from flows.cases.bundle import CASE_FILE, Case
+from flows.loop import CaseInputs
+from flows.runner import Runner
+from flows.steps import IMPORT_CASE
+
+BUNDLE = "bundle"
+CALIBRATION = "calibration"
+
+
+def import_into_store(runner: Runner, case: Case) -> CaseInputs:
+    """The case with references into the store instead of paths."""
+    made = runner.local(IMPORT_CASE, {"folder": str(case.folder), "digest": bundle_digest(case)})
+    return CaseInputs(case.name, case.region, case.first_cutoff, made["inputs"], made["nature"])
+
+
+def bundle_digest(case: Case) -> str:
+    """A hash over the names and contents of a bundle's files."""
+    digest = hashlib.sha256()
+    files = {"": case.folder / CASE_FILE, **case.inputs, **case.nature}
+    for name, path in sorted(files.items()):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def calibrate(runner: Runner, case: CaseInputs, days: int, step_s: int, seed: int) -> CaseInputs:
+    """Add the per-cell regression of soil moisture and the reflectivity baseline, from the days before the fires.
+
+    The satellites watch the region in nominal mode all the time; ``step_s`` thins what is simulated of it.
+    """
+    start = case.first_cutoff - timedelta(days=days)
+    tracks = runner.service(
+        "access",
+        "predict-access",
+        {
+            **{name: case.inputs[name] for name in ("receivers", "transmitters", "stations")},
+            "start": start.isoformat(),
+            "duration_s": days * 86400,
+            "step_s": step_s,
+            "area": list(case.region),
+            "with_specular_points": True,
+        },
+    )
+    history = runner.service(
+        "retrieval",
+        "simulate-observations",
+        {
+            "specular_points": tracks["specular_points"],
+            "surface": case.nature["surface"],
+            "seed": seed,
+            "nominal": True,
+            "raw_if": False,
+        },
+    )
+    trained = runner.service(
+        "retrieval",
+        "train-soil-moisture",
+        {"observations": [history["nominal"]], "soil_moisture": case.inputs["smap"]},
+    )
+    return replace(case, reference=trained["reference"], baseline=trained["baseline"])

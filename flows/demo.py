@@ -1,0 +1,145 @@
+"""``make demo``: build a case, run its cycles through the five services, show what came out."""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import logging
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+
+from flows.cases.bundle import Case, read_case
+from flows.display import ConsoleDisplay, comparison_table, cycle_table, perimeter_table
+from flows.loop import FEEDBACKS
+from flows.prefect_server import running_prefect_server
+from flows.profiles import profile_of
+from flows.runner import flow_code_version, open_store
+from flows.services import running_services, wait_until_ready
+from shared.errors import DomainError, SmokeglintError
+
+SIMULATED = ("tiny", "demo")
+REAL = ("black-2022",)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a case from the command line; the exit status is 1 if it could not be run."""
+    options = _options(arguments)
+    console = Console(soft_wrap=True)
+    try:
+        with only_run(options.root):
+            _run(options, console)
+    except (SmokeglintError, TimeoutError) as error:
+        console.print(f"[red]{error}[/red]", highlight=False)
+        return 1
+    return 0
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m flows.demo", description="Run two daily cycles of a case.")
+    parser.add_argument("--case", default="demo", help=f"{', '.join(SIMULATED + REAL)}, or a folder with case.toml")
+    parser.add_argument("--root", type=Path, default=Path("artifacts"), help="folder for all artifacts")
+    parser.add_argument("--cycles", type=int, default=0, help="how many cycles; as the case says if left out")
+    parser.add_argument("--cycle-hours", type=int, default=24, choices=(6, 12, 24), help="length of a cycle")
+    parser.add_argument("--without", nargs="*", default=[], choices=sorted(FEEDBACKS), help="feedbacks to leave out")
+    parser.add_argument("--plain", action="store_true", help="do not run the last cycle again without feedback")
+    options = parser.parse_args(arguments)
+    options.root = options.root.resolve()
+    return options
+
+
+def _run(options: argparse.Namespace, console: Console) -> None:
+    begun = time.monotonic()
+    console.print(f"Smokeglint: case {options.case}, artifacts under {options.root}", highlight=False)
+    with running_services(options.root) as urls, running_prefect_server(options.root):
+        console.print("Building the case while the services start …")
+        case = build_case(options.case, options.root)
+        if case.simulated:
+            console.print("This case is SIMULATED: orbits and stations are real, nature and measurements are not.")
+        wait_until_ready(urls)
+        ready_s = time.monotonic() - begun
+        display = ConsoleDisplay(console)
+        try:
+            _loop(options, console, case, urls, display)
+        finally:
+            display.close()
+    console.print(f"Ready after {ready_s:.0f} s, all done after {time.monotonic() - begun:.0f} s.", highlight=False)
+
+
+def _loop(
+    options: argparse.Namespace, console: Console, case: Case, urls: dict[str, str], display: ConsoleDisplay
+) -> None:
+    logging.getLogger("prefect").setLevel(logging.ERROR)
+    from flows.case_run import run_case  # prefect reads its settings when it is imported: not before the server runs
+
+    store = open_store(options.root)
+    feedback = frozenset(FEEDBACKS) - frozenset(options.without)
+    chosen = profile_of(options.case, options.cycle_hours)
+    cycles = options.cycles or case.cycles
+    result = run_case(case, store, options.root, urls, display, chosen, feedback, cycles, again_plain=not options.plain)
+    if result.stale_runs:
+        console.print(f"Closed {result.stale_runs} flow run(s) that an earlier, killed run had left open.")
+    console.print()
+    console.print(cycle_table(result.cycles, case.title))
+    if result.changes:
+        console.print(comparison_table(result.changes, result.cycles[-1].label))
+    if result.perimeters:
+        console.print(perimeter_table(result.perimeters))
+    console.print("Look at:")
+    for path in result.shown:
+        console.print(f"  {path}", highlight=False)
+
+
+def build_case(name: str, root: Path) -> Case:
+    """The case of that name, built under ``root/.cases`` unless this very code has built it already."""
+    folder = root / ".cases" / f"{name}-{flow_code_version().split('+')[1]}" if name in SIMULATED + REAL else Path(name)
+    if name not in SIMULATED + REAL or (folder / "case.toml").exists():
+        return read_case(folder)
+    shutil.rmtree(folder, ignore_errors=True)
+    fresh = folder.with_name(f".{folder.name}")
+    shutil.rmtree(fresh, ignore_errors=True)
+    if name in SIMULATED:
+        from flows.cases.simulated import build_simulated_case
+
+        build_simulated_case(name, fresh)
+    else:
+        from flows.cases.black_2022 import build_black_2022
+
+        build_black_2022(real_data(), fresh)
+    fresh.rename(folder)
+    return read_case(folder)
+
+
+def real_data() -> Path:
+    """The folder of real data; DomainError says how to name it."""
+    folder = os.environ.get("SMOKEGLINT_DATA", "")
+    if not folder or not Path(folder).is_dir():
+        raise DomainError(
+            "This case is built from real data: set SMOKEGLINT_DATA to the folder that holds them (see docs/data.md).",
+            field="SMOKEGLINT_DATA",
+            value=folder or "not set",
+            accepted="an existing folder",
+        )
+    return Path(folder)
+
+
+@contextmanager
+def only_run(root: Path) -> Iterator[None]:
+    """Hold the root's lock, which the system frees even if this process is killed; DomainError if another holds it."""
+    root.mkdir(parents=True, exist_ok=True)
+    with (root / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise DomainError(f"Another run works on {root}; wait for it or take another --root.") from error
+        yield
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""How the loop reaches its steps: services over HTTP, the flow's own steps in this process. Both end in the store."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from shared.artifacts.roots import Roots
+from shared.artifacts.store import ArtifactStore
+from shared.client import ProcessClient
+from shared.process import Process, execution
+from shared.versions import code_version
+
+OWNER = "flow"
+_FLOWS = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True)
+class StepEvent:
+    """What a display shows of a step: where it stands, and whether the store already had it."""
+
+    cycle: str
+    process: str
+    percent: float
+    message: str
+    seconds: float
+    done: bool
+
+
+Display = Callable[[StepEvent], None]
+
+
+class Runner(Protocol):
+    """What the loop needs of whoever runs its steps."""
+
+    def service(self, service: str, process: str, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        """Outputs of a service's process."""
+
+    def local(self, process: Process, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        """Outputs of one of the flow's own steps."""
+
+
+@dataclass
+class DirectRunner:
+    """Runs each step at once, and remembers the outputs of all of them for the catalogue."""
+
+    urls: Mapping[str, str]
+    store: ArtifactStore
+    correlation_id: str
+    display: Display
+    case: str = "adhoc"
+    cycle: str = "adhoc"
+    made: list[dict[str, Any]] = field(default_factory=list)
+
+    def service(self, service: str, process: str, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        begun = time.monotonic()
+
+        def progress(percent: float, message: str) -> None:
+            self._show(process, percent, message, begun, done=False)
+
+        progress(0, "")
+        with ProcessClient(self.urls[service], correlation_id=self.correlation_id) as client:
+            outputs = client.execute(process, self._addressed(inputs), progress=progress)
+        return self._finish(process, outputs, begun)
+
+    def local(self, process: Process, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        begun = time.monotonic()
+        self._show(process.id, 0, "", begun, done=False)
+        checked = execution.validate_inputs(process, self._addressed(inputs))
+        step = execution.resolve_step(process, checked, self.store, flow_code_version())
+        outputs = execution.finished_outputs(step, self.store)
+        if outputs is None:
+            outputs = execution.run_step(step, self.store, OWNER, step.address.key, lambda *_: None)
+        return self._finish(process.id, outputs, begun)
+
+    def _addressed(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        given = {name: value for name, value in inputs.items() if value is not None}
+        return {**given, "case": self.case, "cycle": self.cycle}
+
+    def _finish(self, process: str, outputs: dict[str, Any], begun: float) -> dict[str, Any]:
+        self.made.append(outputs)
+        self._show(process, 100, "", begun, done=True)
+        return outputs
+
+    def _show(self, process: str, percent: float, message: str, begun: float, *, done: bool) -> None:
+        self.display(StepEvent(self.cycle, process, percent, message, time.monotonic() - begun, done))
+
+
+def flow_code_version() -> str:
+    """The code version of the flow's own steps."""
+    return code_version(_FLOWS, _FLOWS.parent / "shared")
+
+
+def open_store(root: Path) -> ArtifactStore:
+    """The artifact store of a run on this machine, cleared of what a killed run left half-done."""
+    from flows.steps import LOCAL_STEPS
+
+    store = ArtifactStore(Roots(str(root)))
+    store.sweep(OWNER, [process.id for process in LOCAL_STEPS])
+    return store

@@ -1,0 +1,59 @@
+"""Which measurements are on the ground by the end of a cycle: the cut-off for what the satellites saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+
+@dataclass(frozen=True)
+class SortedPoints:
+    """Specular points (contract ``specular_points``): delivered in nominal mode, in raw-IF mode, and not yet."""
+
+    nominal: pd.DataFrame
+    raw_if: pd.DataFrame
+    pending: pd.DataFrame
+
+
+def sort_points(
+    points: pd.DataFrame, as_run: pd.DataFrame, contacts: pd.DataFrame, end: pd.Timestamp, level1_latency_s: int
+) -> SortedPoints:
+    """Sort points by whether they were delivered by ``end``.
+
+    Nominal data come down whole at the satellite's next contact and are level-1 data ``level1_latency_s`` later. A
+    second of raw-IF data is delivered when its image's downlink is done. A point waits (``pending``) while its nominal
+    data or its stored image have still to come; ``nominal_due`` remembers which of the two it still owes.
+    """
+    due = points["nominal_due"] if "nominal_due" in points else pd.Series(True, index=points.index)
+    due = due.astype("boolean").fillna(True).astype(bool)
+    due &= points["nominal"].astype(bool) if "nominal" in points else True
+    delivered_at = nominal_delivery(points, contacts) + pd.Timedelta(seconds=level1_latency_s)
+    arrived = due & (delivered_at <= end)
+    down = _in_images(points, as_run[as_run["status"] == "downlinked"])
+    aboard = _in_images(points, as_run[as_run["status"] == "collected"])
+    owing = due & ~arrived
+    pending = points[owing | aboard].assign(nominal_due=owing[owing | aboard])
+    plain = points.drop(columns=["nominal_due"], errors="ignore")
+    return SortedPoints(plain[arrived], plain[down], pending)
+
+
+def nominal_delivery(points: pd.DataFrame, contacts: pd.DataFrame) -> pd.Series[Any]:
+    """The end of the first contact that starts after each point was measured; NaT where none follows."""
+    delivered = pd.Series(pd.NaT, index=points.index, dtype="datetime64[ms, UTC]")
+    for satellite, own in points.groupby("satellite"):
+        passes = contacts[contacts["satellite"] == satellite].sort_values("start")
+        if passes.empty:
+            continue
+        following = np.searchsorted(passes["start"].to_numpy(), own["time"].to_numpy(), side="left")
+        found = following < len(passes)
+        delivered.loc[own.index[found]] = passes["end"].iloc[following[found]].to_numpy()
+    return delivered
+
+
+def _in_images(points: pd.DataFrame, images: pd.DataFrame) -> pd.Series[Any]:
+    wanted = pd.MultiIndex.from_arrays([images["satellite"], images["start"]])
+    have = pd.MultiIndex.from_arrays([points["satellite"], points["time"]])
+    return pd.Series(have.isin(wanted), index=points.index)
