@@ -15,7 +15,7 @@ from flows.cases.bundle import Case
 from flows.catalogue import write_catalogue
 from flows.comparison import compare_cycles, local_file, read_reference
 from flows.cycle import PrefectRunner, close_stale_runs, run_as_flow
-from flows.loop import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label, run_cycle
+from flows.loop import KNOWN_INPUTS, CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label, run_cycle
 from flows.profiles import Profile
 from flows.runner import DirectRunner, Display
 from flows.steps import ASSEMBLE_INPUTS, SCORE, SCORE_PERIMETER, SITUATION
@@ -90,7 +90,7 @@ def run_case(
     if again_plain and cycles > 1:
         plain = _cycle(run, inputs, cycles, before, frozenset(), f"{done[-1].label}-{PLAIN}")
         changes = compare_cycles(done[-1].steps, plain.steps)
-    perimeters = _perimeter_scores(run, inputs, done) if "perimeters" in inputs.inputs else []
+    perimeters = _perimeter_scores(run, inputs) if "perimeters" in inputs.inputs else []
     times = _times(case, done)
     catalogue = write_catalogue(store, root, case.name, case.title, case.region, times, run.made)
     shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
@@ -121,7 +121,8 @@ def _publish(
 ) -> dict[str, Mapping[str, Any]]:
     """The map and the scores of a finished cycle."""
     steps = cycle.steps
-    truth = inputs.nature.get("truth")
+    # On a real case the surface that the simulator sees was itself made from the perimeters: no truth to score with.
+    truth = inputs.nature.get("truth") if case.simulated else None
     arrival = steps["infer-fire-arrival"]["fire_arrival"]
     burned = steps["retrieve-burned-area"]["burned_area"]
     drawn = {
@@ -136,36 +137,34 @@ def _publish(
         "burned_area": burned,
         "fire_arrival": arrival,
         "detections": steps["known-at-end"]["detections"],
+        "perimeters": inputs.inputs.get("perimeters"),
         "truth": truth,
     }
     scored = {"fire_arrival": arrival, "burned_area": burned, "at": cycle.end.isoformat(), "truth": truth}
     return {"situation": runner.local(SITUATION, drawn), "score": runner.local(SCORE, scored)}
 
 
-def _perimeter_scores(run: _CaseRun, inputs: CaseInputs, done: Sequence[CycleProducts]) -> list[Mapping[str, Any]]:
+def _perimeter_scores(run: _CaseRun, inputs: CaseInputs) -> list[Mapping[str, Any]]:
     """For each mapped perimeter: the arrival map from the data up to it only, and its scores."""
     table = read_reference(inputs.inputs["perimeters"], tables.PERIMETERS).sort_values("time")
-    return [
-        run.as_flow(PERIMETERS, lambda runner, row=row: _score_one(runner, run, inputs, done, row))
-        for row in table.itertuples()
-    ]
+    rows = list(table.itertuples())
+    scores: list[Mapping[str, Any]] = run.as_flow(
+        PERIMETERS, lambda runner: [_score_one(runner, run, inputs, row) for row in rows]
+    )
+    return scores
 
 
-def _score_one(
-    runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, done: Sequence[CycleProducts], row: Any
-) -> Mapping[str, Any]:
+def _score_one(runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, row: Any) -> Mapping[str, Any]:
     time: pd.Timestamp = row.time
-    names = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
-    given = {name: inputs.inputs.get(name) for name in names}
+    given = {name: inputs.inputs.get(name) for name in KNOWN_INPUTS}
     known = runner.local(ASSEMBLE_INPUTS, {"cutoff": time.isoformat(), **given})
-    burned = [c.steps["retrieve-burned-area"]["burned_area"] for c in done if c.end <= time]
     arrival = runner.service(
         "arrival",
         "infer-fire-arrival",
         {
             "detections": known["detections"],
             "incidents": known["incidents"],
-            "burned_area": burned,
+            "burned_area": [],  # simulated from these very perimeters: they would score themselves
             "start": (run.case.first_cutoff - timedelta(days=3)).isoformat(),
             "end": time.isoformat(),
             "seed": run.profile.settings.seed,

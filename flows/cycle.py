@@ -36,13 +36,12 @@ class PrefectRunner:
 
 def run_as_flow(name: str, run: Callable[[], Any]) -> Any:
     """Run a function as one flow run; its tasks are those of a PrefectRunner used inside."""
-    return flow(run, name="cycle", flow_run_name=name, persist_result=False, validate_parameters=False)()
+    return flow(name="cycle", flow_run_name=name, persist_result=False, validate_parameters=False)(run)()
 
 
 def _as_task(name: str, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     # Prefect's own cache stays off: what is done is told by the manifests, and by nothing else.
     step = task(
-        run,
         name=name,
         task_run_name=name,
         cache_policy=NO_CACHE,
@@ -50,9 +49,8 @@ def _as_task(name: str, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         retries=_RETRIES,
         retry_delay_seconds=[1, 5],
         retry_condition_fn=_worth_retrying,
-    )
-    outputs: dict[str, Any] = step()
-    return outputs
+    )(run)
+    return step()
 
 
 def _worth_retrying(_: Any, __: Any, state: Any) -> bool:

@@ -16,6 +16,7 @@ from flows.steps import ASSEMBLE_INPUTS, EXECUTE, OBSERVED_PLACES, SET_HORIZON, 
 
 Reference = Mapping[str, Any]
 
+KNOWN_INPUTS = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
 FEEDBACKS = {
     "soil-moisture": "soil moisture into pre-fire danger",
     "burned-area-danger": "burned area into pre-fire danger",
@@ -127,8 +128,7 @@ def prioritise(
 ) -> dict[str, Mapping[str, Any]]:
     """What is known at the cut-off, rated, and turned into targets on one reward scale."""
     at = cutoff.isoformat()
-    names = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
-    known = runner.local(ASSEMBLE_INPUTS, {"cutoff": at, **{name: case.inputs.get(name) for name in names}})
+    known = runner.local(ASSEMBLE_INPUTS, {"cutoff": at, **{name: case.inputs.get(name) for name in KNOWN_INPUTS}})
     fuel = runner.service("prioritization", "forecast-fuel-moisture", {"weather": known["weather"], "time": at})
     moisture = fuel["fuel_moisture"]
     rated = {
@@ -274,9 +274,8 @@ def understand(
     moisture = runner.service(
         "retrieval", "retrieve-soil-moisture", {"observations": observations, "reference": case.reference}
     )
-    names = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
     known = runner.local(
-        ASSEMBLE_INPUTS, {"cutoff": end.isoformat(), **{name: case.inputs.get(name) for name in names}}
+        ASSEMBLE_INPUTS, {"cutoff": end.isoformat(), **{name: case.inputs.get(name) for name in KNOWN_INPUTS}}
     )
     arrival = runner.service(
         "arrival",

@@ -3,30 +3,39 @@
 from __future__ import annotations
 
 from datetime import datetime
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from flows.cases.bundle import Case
 from shared.contracts import tables
 from shared.contracts.schema import read_table
 from shared.errors import DomainError
 
 
-def detections_known_at(case: Case, cutoff: datetime) -> pd.DataFrame:
+class KnownInputs(Protocol):
+    """Case inputs by logical name: a Case, or the same files wherever a store keeps them."""
+
+    def path(self, logical: str) -> Path: ...
+
+    def has(self, logical: str) -> bool: ...
+
+
+def detections_known_at(case: KnownInputs, cutoff: datetime) -> pd.DataFrame:
     """The detections delivered by the cut-off (contract ``detections``)."""
     table = read_table(case.path("detections"), tables.DETECTIONS)
     return table[table.delivered_at <= pd.Timestamp(cutoff)].reset_index(drop=True)
 
 
-def perimeters_known_at(case: Case, cutoff: datetime) -> pd.DataFrame:
+def perimeters_known_at(case: KnownInputs, cutoff: datetime) -> pd.DataFrame:
     """The perimeters published by the cut-off (contract ``perimeters``)."""
     table = read_table(case.path("perimeters"), tables.PERIMETERS)
     return table[table.known_at <= pd.Timestamp(cutoff)].reset_index(drop=True)
 
 
-def incidents_known_at(case: Case, cutoff: datetime) -> pd.DataFrame:
+def incidents_known_at(case: KnownInputs, cutoff: datetime) -> pd.DataFrame:
     """The incidents known by the cut-off, each with the area last reported by then (contract ``incidents``)."""
     table = read_table(case.path("incidents"), tables.INCIDENTS)
     table = table[table.known_at <= pd.Timestamp(cutoff)].reset_index(drop=True)
@@ -39,7 +48,7 @@ def incidents_known_at(case: Case, cutoff: datetime) -> pd.DataFrame:
     return table
 
 
-def weather_known_at(case: Case, cutoff: datetime, from_time: datetime | None = None) -> xr.Dataset:
+def weather_known_at(case: KnownInputs, cutoff: datetime, from_time: datetime | None = None) -> xr.Dataset:
     """One weather grid for a cycle: analyses issued by the cut-off, then the last forecast issued by then.
 
     Hourly (time, latitude, longitude) with ``issued_at`` (time) as the weather contract asks, from ``from_time``

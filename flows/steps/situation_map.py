@@ -58,8 +58,15 @@ def read_layers(inputs: SituationInputs, context: JobContext) -> Layers:
         detections=context.read_table(inputs.detections, "DETECTIONS"),
         arrivals=[read_arrival(context.path(reference)) for reference in inputs.fire_arrival],
         truths=truths,
-        perimeters=context.read_table(inputs.perimeters, "PERIMETERS") if inputs.perimeters else None,
+        perimeters=_known_perimeters(inputs, context),
     )
+
+
+def _known_perimeters(inputs: SituationInputs, context: JobContext) -> geopandas.GeoDataFrame | None:
+    if inputs.perimeters is None:
+        return None
+    table = context.read_table(inputs.perimeters, "PERIMETERS")
+    return table[table["known_at"] <= pd.Timestamp(inputs.end)]
 
 
 def draw(layers: Layers, inputs: SituationInputs, path: Path, product: dict[str, Any]) -> None:
@@ -95,7 +102,7 @@ def _draw_targets(axes: Axes, layers: Layers) -> None:
     targets = layers.targets
     covered = targets["target_id"].isin(layers.covered_ids)
     active = targets["kind"] == "active"
-    styles = [
+    styles: list[tuple[Any, dict[str, Any], str]] = [
         (~active & ~covered, {"s": 6, "c": "#c9c9c9", "marker": "s"}, "pre-fire, not recorded"),
         (~active & covered, {"s": 9, "c": "#2b7bba", "marker": "s"}, "pre-fire, recorded"),
         (

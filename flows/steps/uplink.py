@@ -48,7 +48,7 @@ def uplink_records(schedule: pd.DataFrame, contacts: pd.DataFrame, release: Any)
         passes = contacts[(contacts["satellite"] == satellite) & (contacts["start"] >= pd.Timestamp(release))]
         first = passes.sort_values("start").iloc[0] if len(passes) else None
         own = schedule[schedule["satellite"] == satellite]
-        new = own["start"] >= first["start"] if first is not None else own["start"].isna()
+        new = own["uplink_contact"] >= pd.Timestamp(release)
         records.append(
             {
                 "satellite": satellite,

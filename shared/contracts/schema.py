@@ -65,7 +65,8 @@ class TableSchema:
             )
         present = [c for c in self.columns if c.name in frame.columns]
         coerced = {column.name: self._coerce(column, frame[column.name]) for column in present}
-        extra = {str(name): frame[name] for name in frame.columns if name not in coerced}
+        # Index and all: a frame that was filtered or sorted must not pair its further columns with other rows.
+        extra = {str(name): frame[name].reset_index(drop=True) for name in frame.columns if name not in coerced}
         checked = pd.DataFrame({**coerced, **extra}).reset_index(drop=True)
         self._check_unique(checked)
         if self.has_geometry:

@@ -49,7 +49,9 @@ class Spacecraft(BaseModel):
     @classmethod
     def _without_product(cls, values: Any) -> Any:
         """A document that a step wrote also says what made it; that is no part of the spacecraft."""
-        return {name: value for name, value in values.items() if name != "product"} if isinstance(values, dict) else values
+        return (
+            {name: value for name, value in values.items() if name != "product"} if isinstance(values, dict) else values
+        )
 
     @model_validator(mode="after")
     def _charge_fits(self) -> Spacecraft:
