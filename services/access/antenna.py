@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from services.access.orientation import EARTH_ROTATION_RAD_S
@@ -52,20 +51,3 @@ def body_axes(position_m: Array, velocity_m_s: Array) -> Array:
     normal = np.cross(position_m, inertial)
     starboard = -normal / np.linalg.norm(normal, axis=1, keepdims=True)
     return np.stack([np.cross(starboard, nadir), starboard, nadir], axis=1)
-
-
-@njit(cache=True, nogil=True)
-def beam_gain_dbi(forward: float, starboard: float, nadir: float, parameters: Array) -> float:
-    """The better beam's gain (dBi) along a unit vector given in body components.
-
-    The lobe nearer the direction is the one on its side, so only that one is evaluated.
-    """
-    peak, floor, off_nadir, across_width, along_width = parameters
-    cosine, sine = np.cos(off_nadir), np.sin(off_nadir)
-    side = abs(starboard)
-    along_axis = cosine * nadir + sine * side
-    across = cosine * side - sine * nadir
-    off_axis = np.sqrt(across * across + forward * forward)
-    scale = np.arctan2(off_axis, along_axis) / max(off_axis, 1e-300)
-    gain = peak - 12.0 * ((across * scale / across_width) ** 2 + (forward * scale / along_width) ** 2)
-    return max(gain, floor)

@@ -55,13 +55,13 @@ _GPS: dict[int, tuple[tuple[int, tuple[date, date]], ...]] = {
     41019: ((10, _ALWAYS),),
     41328: ((32, _ALWAYS),),
     43873: ((4, _ALWAYS),),
-    44506: ((18, _ALWAYS),),
-    45854: ((23, _ALWAYS),),
-    46826: ((14, _ALWAYS),),
-    48859: ((11, _ALWAYS),),
-    55268: ((28, _ALWAYS),),
-    62339: ((1, _ALWAYS),),
-    64202: ((21, _ALWAYS),),
+    44506: ((18, _since(2019, 8, 22)),),
+    45854: ((23, _since(2020, 6, 30)),),
+    46826: ((14, _since(2020, 11, 5)),),
+    48859: ((11, _since(2021, 6, 17)),),
+    55268: ((28, _since(2023, 1, 18)),),
+    62339: ((1, _since(2024, 12, 17)),),
+    64202: ((21, _since(2025, 5, 30)),),
 }
 
 # Galileo codes have not changed hands; they are those that CelesTrak prints behind the names (GSAT0101 = E11).

@@ -6,21 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from services.access.antenna import BeamPair, beam_gain_dbi, body_axes
+from services.access.antenna import BeamPair, body_axes
 from services.access.ellipsoid import SEMI_MINOR_M
 from services.access.ephemeris import Ephemeris
-from services.access.specular import first_guess, occulted, solve
+from services.access.reflection import follow_all
 
 Array = NDArray[np.float64]
 
-NOMINAL_CHANNELS = 4  # CYGNSS records four delay-Doppler maps at a time
-NORMAL_MARGIN_RAD = np.radians(
-    1.0
-)  # normal and radius differ by 0.19 degrees, which moves a point by twice that at most
-COLUMNS = 10
+# normal and radius differ by 0.19 degrees, which moves a point by twice that at most
+NORMAL_MARGIN_RAD = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -87,7 +83,7 @@ def specular_track(
     limit = np.radians(max_incidence_deg)
     near_arc = _arc_to_point(float(radius.max()), limit) + NORMAL_MARGIN_RAD
     wanted = _steps_near(position / radius[:, np.newaxis], caps, near_arc)
-    table, used, grazing = _track(
+    table, used, grazing = follow_all(
         np.ascontiguousarray(position),
         body_axes(position, velocity),
         np.stack([_cubics(t) for t in transmitters]),
@@ -133,102 +129,3 @@ def _cubics(ephemeris: Ephemeris) -> Array:
     m0, m1 = ephemeris.step_s * ephemeris.velocity_m_s[:-1], ephemeris.step_s * ephemeris.velocity_m_s[1:]
     rise = p1 - p0
     return np.stack([p0, m0, 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise], axis=1)
-
-
-@njit(cache=True, nogil=True)
-def _track(
-    receiver: Array,
-    axes: Array,
-    cubics: Array,
-    nodes_per_step: float,
-    wanted: Array,
-    least_cosine: float,
-    max_incidence: float,
-    beams: Array,
-) -> tuple[Array, int, int]:
-    """Rows: time, transmitter, x, y, z, incidence, mismatch, gain, range to receiver, range to transmitter.
-
-    The last is negative where the row is one of the four nominal channels. Each pair starts from its point of the step
-    before, moved on as in that step, which leaves two iterations; a fresh start is tried where that fails.
-    """
-    transmitters, intervals = cubics.shape[0], cubics.shape[1]
-    table = np.empty((4096, COLUMNS))
-    used, grazing = 0, 0
-    recent = np.zeros((transmitters, 6))
-    depth = np.zeros(transmitters, dtype=np.int64)
-    for step in range(len(receiver)):
-        if not wanted[step]:
-            for j in range(transmitters):
-                depth[j] = 0
-            continue
-        rx, ry, rz = receiver[step, 0], receiver[step, 1], receiver[step, 2]
-        r_length = np.sqrt(rx * rx + ry * ry + rz * rz)
-        node = min(int(step * nodes_per_step), intervals - 1)
-        share = step * nodes_per_step - node
-        if used + transmitters > len(table):
-            larger = np.empty((2 * len(table) + transmitters, COLUMNS))
-            for row in range(used):  # plain loops: slice assignments triple the compiler's time
-                for column in range(COLUMNS):
-                    larger[row, column] = table[row, column]
-            table = larger
-        first = used
-        for j in range(transmitters):
-            c = cubics[j, node]
-            tx = c[0, 0] + share * (c[1, 0] + share * (c[2, 0] + share * c[3, 0]))
-            ty = c[0, 1] + share * (c[1, 1] + share * (c[2, 1] + share * c[3, 1]))
-            tz = c[0, 2] + share * (c[1, 2] + share * (c[2, 2] + share * c[3, 2]))
-            dot = rx * tx + ry * ty + rz * tz
-            if dot < least_cosine * r_length * np.sqrt(tx * tx + ty * ty + tz * tz):
-                depth[j] = 0
-                continue
-            point = _follow(recent[j], depth[j], rx, ry, rz, tx, ty, tz)
-            if not point[7]:
-                depth[j] = 0
-                grazing += not occulted(rx, ry, rz, tx, ty, tz)
-                continue
-            recent[j, 3], recent[j, 4], recent[j, 5] = recent[j, 0], recent[j, 1], recent[j, 2]
-            recent[j, 0], recent[j, 1], recent[j, 2] = point[0], point[1], point[2]
-            depth[j] = min(depth[j] + 1, 2)
-            if point[3] > max_incidence:
-                continue
-            dx, dy, dz = (point[0] - rx) / point[5], (point[1] - ry) / point[5], (point[2] - rz) / point[5]
-            a = axes[step]
-            gain = beam_gain_dbi(
-                a[0, 0] * dx + a[0, 1] * dy + a[0, 2] * dz,
-                a[1, 0] * dx + a[1, 1] * dy + a[1, 2] * dz,
-                a[2, 0] * dx + a[2, 1] * dy + a[2, 2] * dz,
-                beams,
-            )
-            out = table[used]
-            out[0], out[1], out[2], out[3], out[4] = step, j, point[0], point[1], point[2]
-            out[5], out[6], out[7], out[8], out[9] = point[3], point[4], gain, point[5], point[6]
-            used += 1
-        _mark_nominal(table, first, used)
-    return table, used, grazing
-
-
-@njit(cache=True, nogil=True)
-def _follow(
-    recent: Array, depth: int, rx: float, ry: float, rz: float, tx: float, ty: float, tz: float
-) -> tuple[float, float, float, float, float, float, float, bool]:
-    x, y, z = 2.0 * recent[0] - recent[3], 2.0 * recent[1] - recent[4], 2.0 * recent[2] - recent[5]
-    if depth == 1:
-        x, y, z = recent[0], recent[1], recent[2]
-    for attempt in range(2):
-        if depth == 0 or attempt == 1:
-            x, y, z = first_guess(rx, ry, rz, tx, ty, tz)
-        point = solve(x, y, z, rx, ry, rz, tx, ty, tz)
-        if point[7] or depth == 0:
-            break
-    return point
-
-
-@njit(cache=True, nogil=True)
-def _mark_nominal(table: Array, first: int, end: int) -> None:
-    """Negate the last column of the four rows of highest gain in [first, end); of equals the earlier transmitter."""
-    for _ in range(min(NOMINAL_CHANNELS, end - first)):
-        best = -1
-        for k in range(first, end):
-            if table[k, 9] > 0.0 and (best < 0 or table[k, 7] > table[best, 7]):
-                best = k
-        table[best, 9] = -table[best, 9]

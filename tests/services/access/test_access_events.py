@@ -1,0 +1,168 @@
+"""Contacts and eclipses: edges refined below the step, against GMAT, and against cases known in closed form."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.access.contacts import Station, find_contacts, sine_elevation
+from services.access.crossings import maximum_in, positive_intervals
+from services.access.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_position_itrf
+from services.access.elements import read_elements
+from services.access.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M, to_cartesian
+from services.access.ephemeris import Ephemeris, propagate, resample
+from services.access.orientation import gmst82_rad, orientation_at
+from shared.errors import DomainError
+from tests.services.access.orbits import RECEIVERS, START
+from tests.services.access.truth import gmat_contact_differences_s, gmat_eclipse_differences_s
+
+STATIONS = (
+    Station("hawaii", 19.0, -155.65, 367.0),
+    Station("santiago", -33.13, -70.67, 723.0),
+    Station("dongara", -29.08, 115.58, 250.0),
+)
+
+
+@pytest.fixture(scope="module")
+def orbit() -> Ephemeris:
+    return propagate(read_elements(RECEIVERS), START, 86400.0, 10.0)[0][0]
+
+
+def test_edges_of_a_sine_are_found_far_below_the_step() -> None:
+    found = positive_intervals(lambda t: np.sin(t / 10.0) - 0.5, np.arange(0.0, 121.0, 7.0))
+    edges = 10.0 * np.array([np.pi / 6, 5 * np.pi / 6, 2 * np.pi + np.pi / 6, 2 * np.pi + 5 * np.pi / 6])
+    assert np.abs(np.ravel(found) - edges).max() < 2e-6
+
+
+def test_visits_and_gaps_shorter_than_the_step_are_found() -> None:
+    t = np.arange(0.0, 100.0, 10.0)
+    (visit,) = positive_intervals(lambda s: 1.0 - ((s - 43.0) / 2.0) ** 2, t)
+    assert visit == pytest.approx((41.0, 45.0), abs=1e-5)
+    before, after = positive_intervals(lambda s: ((s - 43.0) / 2.0) ** 2 - 1.0, t)
+    assert (before[1], after[0]) == pytest.approx((41.0, 45.0), abs=1e-5)
+    assert positive_intervals(lambda s: -1e-3 - ((s - 43.0) / 2.0) ** 2, t) == []
+
+
+def test_the_horizon_cuts_intervals() -> None:
+    assert positive_intervals(np.ones_like, np.array([0.0, 5.0, 9.0])) == [(0.0, 9.0)]
+    assert maximum_in(lambda t: -((t - 3.3) ** 2), 0.0, 9.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_contacts_hold_at_a_tenth_of_a_second_and_nowhere_else(orbit: Ephemeris) -> None:
+    """A dense scan of the elevation agrees with every contact, its edges and its peak."""
+    dense = np.arange(0.0, 86400.0, 0.5)
+    position, _ = orbit.states(dense)
+    for station in STATIONS:
+        elevation = np.degrees(np.arcsin(sine_elevation(position, station)))
+        inside = np.zeros(len(dense), dtype=bool)
+        for contact in find_contacts(orbit, [station], 86400.0):
+            during = (dense >= contact.start_s) & (dense <= contact.end_s)
+            inside |= during
+            assert abs(elevation[during].max() - contact.max_elevation_deg) < 0.02
+        assert np.array_equal(inside, elevation > station.mask_deg)
+
+
+def test_edges_do_not_depend_on_the_sampling_of_the_ephemeris(orbit: Ephemeris) -> None:
+    fine = resample(orbit, 1.0, 86401)
+    for a, b in zip(find_contacts(orbit, STATIONS, 86400.0), find_contacts(fine, STATIONS, 86400.0), strict=True):
+        assert (a.start_s, a.end_s) == pytest.approx((b.start_s, b.end_s), abs=1e-3)
+
+
+def test_up_is_the_ellipsoids_normal_for_both_datums() -> None:
+    geodetic = Station("g", 45.0, 10.0, 0.0)
+    assert sine_elevation(to_cartesian(np.array([45.0]), np.array([10.0]), 5e5), geodetic)[0] == pytest.approx(1.0)
+    spherical = replace(geodetic, datum="spherical")
+    assert np.linalg.norm(spherical.position_m()) == pytest.approx(SEMI_MAJOR_M)
+    radial = spherical.position_m() / np.linalg.norm(spherical.position_m())
+    assert np.degrees(np.arccos(radial @ spherical.up())) == pytest.approx(0.19, abs=0.01)
+    assert np.linalg.norm(spherical.position_m() - geodetic.position_m()) > 10_000.0  # what a mixed-up datum costs
+
+
+def test_a_station_at_the_pole_needs_no_longitude() -> None:
+    """A polar orbit passes it once a revolution whatever longitude is written."""
+    rate = 2.0 * np.pi / 5700.0
+    t = np.arange(0.0, 22801.0, 10.0)
+    zeros = np.zeros_like(t)
+    circle = np.stack([np.cos(rate * t), zeros, np.sin(rate * t)], axis=1)
+    turn = rate * np.stack([-np.sin(rate * t), zeros, np.cos(rate * t)], axis=1)
+    polar = Ephemeris("P", START, 10.0, 6.9e6 * circle, 6.9e6 * turn)
+    contacts = [find_contacts(polar, [Station("pole", 90.0, longitude, 0.0)], 22800.0) for longitude in (0.0, 137.0)]
+    assert len(contacts[0]) == 4
+    assert contacts[0] == contacts[1]
+    assert contacts[0][0].max_elevation_deg == pytest.approx(90.0, abs=1e-4)
+    half = np.radians(90.0 - 7.0) - np.arcsin(SEMI_MINOR_M * np.cos(np.radians(7.0)) / 6.9e6)
+    assert contacts[0][0].end_s - contacts[0][0].start_s == pytest.approx(2.0 * half / rate, abs=0.01)
+
+
+def test_a_station_that_is_no_place_is_refused() -> None:
+    for bad in ({"latitude_deg": 90.5}, {"height_m": float("nan")}, {"mask_deg": 90.0}):
+        with pytest.raises(DomainError, match="Station hawaii"):
+            replace(STATIONS[0], **bad)
+
+
+def test_contacts_agree_with_gmat(real_data: Path) -> None:
+    differences = gmat_contact_differences_s(real_data / "events/gmat_cygfm01")
+    assert differences.shape == (9, 2)
+    assert np.abs(differences).max() < 0.1
+
+
+def test_eclipses_agree_with_gmat(real_data: Path) -> None:
+    differences = gmat_eclipse_differences_s(real_data / "events/gmat_cygfm01")
+    assert differences.shape == (23, 2)
+    assert np.abs(differences).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("when", "longitude_deg"),
+    [
+        (datetime(2024, 12, 21, 9, 20, tzinfo=UTC), 270.0),
+        (datetime(2025, 6, 21, 2, 42, tzinfo=UTC), 90.0),
+        (datetime(2025, 9, 22, 18, 19, tzinfo=UTC), 180.0),
+        (datetime(2026, 3, 20, 14, 46, tzinfo=UTC), 0.0),
+    ],
+)
+def test_the_sun_is_where_equinoxes_and_solstices_put_it(when: datetime, longitude_deg: float) -> None:
+    """Published minutes of the seasons: 0.01 degrees of the Sun are a quarter of an hour."""
+    orientation = orientation_at(when)
+    x, y, z = sun_position_itrf(np.zeros(1), orientation)[0]
+    turn = gmst82_rad(orientation.days_ut1(np.zeros(1)))[0]
+    obliquity = np.radians(23.4362)
+    inertial_y = np.sin(turn) * x + np.cos(turn) * y
+    longitude = np.degrees(
+        np.arctan2(inertial_y * np.cos(obliquity) + z * np.sin(obliquity), np.cos(turn) * x - np.sin(turn) * y)
+    )
+    assert abs((longitude - longitude_deg + 180.0) % 360.0 - 180.0) < 0.01
+
+
+def test_shadow_of_a_satellite_behind_the_equator_is_the_textbook_cone() -> None:
+    """Sun along -x at 1 au, satellite at (r, y, 0): the umbra's edge lies at R - tan(a) r, sin(a) = (Rs - R) / d."""
+    distance = 1.496e11
+    sun = np.array([[-distance, 0.0, 0.0]])
+    for sign, depth in ((-1.0, 1), (1.0, 0)):  # the umbra narrows, the penumbra widens
+        slope = np.arcsin((SUN_RADIUS_M + sign * SEMI_MAJOR_M) / distance)
+        edge = (SEMI_MAJOR_M + sign * np.sin(slope) * 6.9e6) / np.cos(slope)
+        inside, outside = (
+            shadow_depths_rad(np.array([[6.9e6, edge + step, 0.0]]), sun)[depth][0] for step in (-50.0, 50.0)
+        )
+        assert inside > 0.0 > outside
+
+
+def test_the_flattened_earth_throws_a_flattened_shadow() -> None:
+    sun = np.array([[-1.496e11, 0.0, 0.0]])
+    over_pole = np.array([[1e6, 0.0, SEMI_MINOR_M + 8e3]])
+    over_equator = np.array([[1e6, SEMI_MINOR_M + 8e3, 0.0]])
+    assert shadow_depths_rad(over_pole, sun)[0][0] < 0.0 < shadow_depths_rad(over_equator, sun)[1][0]
+
+
+def test_eclipses_come_in_order_and_do_not_overlap(orbit: Ephemeris) -> None:
+    rows = find_eclipses(orbit, 86400.0)
+    umbra = [row for row in rows if row.kind == "umbra"]
+    assert 14 <= len(umbra) <= 17
+    assert all(a.end_s <= b.start_s + 1e-5 for a, b in itertools.pairwise(rows))
+    assert all(1500.0 < row.end_s - row.start_s < 2200.0 for row in umbra[1:-1])
+    assert all(row.end_s - row.start_s < 60.0 for row in rows if row.kind == "penumbra")
