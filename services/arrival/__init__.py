@@ -1,0 +1,1 @@
+"""When the fire reached every place, from scattered looks at it."""

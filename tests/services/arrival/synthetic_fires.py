@@ -1,0 +1,270 @@
+"""Synthetic fires with known arrival times, and what satellites would have seen of them.
+
+A fire spreads for days over a 30 km square: an ellipse along a changing wind, over uneven fuel, faster by day. Polar
+overpasses look at it through moving cloud, miss part of what burns, and place it with jitter. The fire's residence
+time, wind, fuel, cloudiness and detection rates are drawn per seed, so that an inference cannot know them.
+"""
+
+from __future__ import annotations
+
+import heapq
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from pyproj import Transformer
+from scipy.ndimage import gaussian_filter
+
+SIDE_KM = 30.0
+CELL_KM = 0.3
+STEP_H = 0.25
+DIRECTIONS = [
+    *((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)),
+    *((1, 2), (2, 1), (-1, 2), (-2, 1), (1, -2), (2, -1), (-1, -2), (-2, -1)),
+]
+
+
+@dataclass(frozen=True)
+class SyntheticFire:
+    """Truth and looks of one fire: `arrival_h` (y, x) hours since `start`, NaN where it did not burn by `days`."""
+
+    seed: int
+    start: pd.Timestamp
+    x_m: np.ndarray
+    y_m: np.ndarray
+    crs: str
+    arrival_h: np.ndarray
+    residence_h: float
+    detections: gpd.GeoDataFrame
+    burned_area: gpd.GeoDataFrame
+    incidents: gpd.GeoDataFrame
+    end: pd.Timestamp
+
+
+def _smooth_noise(rng: np.random.Generator, size: int, sigma: float) -> np.ndarray:
+    field = gaussian_filter(rng.standard_normal((size, size)), sigma, mode="wrap")
+    return field / field.std()
+
+
+def _directional_progress(rng: np.random.Generator, hours: float) -> list[list[float]]:
+    """Kilometres that a front on unit fuel has run in each direction by each quarter hour (monotone)."""
+    times = np.arange(0.0, hours + STEP_H, STEP_H)
+    walk = gaussian_filter(np.cumsum(rng.normal(0, 0.12, times.size)), 12)
+    wind = rng.uniform(0, 2 * np.pi) + walk
+    eccentricity = np.clip(0.75 + 0.15 * gaussian_filter(rng.standard_normal(times.size), 24) * 5, 0.4, 0.92)
+    clock = 0.12 + np.clip(np.sin(2 * np.pi * (times - rng.uniform(5, 9)) / 24), 0, None) ** rng.uniform(1, 2)
+    head_km_h = rng.uniform(0.15, 0.4) * clock
+    progress = []
+    for row, column in DIRECTIONS:
+        off = np.arctan2(row, column) - wind
+        speed = head_km_h * (1 - eccentricity) / (1 - eccentricity * np.cos(off))
+        progress.append(np.concatenate([[0.0], np.cumsum(speed[:-1] * STEP_H)]).tolist())
+    return progress
+
+
+def _spread(fuel: np.ndarray, start_cell: tuple[int, int], progress: list[list[float]], hours: float) -> np.ndarray:
+    """Earliest arrival, hours, by shortest time over 16 neighbours with speeds that change in time."""
+    arrival = np.full(fuel.shape, np.inf)
+    arrival[start_cell] = 0.0
+    queue = [(0.0, start_cell[0], start_cell[1])]
+    fuel_rows = fuel.tolist()
+    lengths = [CELL_KM * float(np.hypot(r, c)) for r, c in DIRECTIONS]
+    rows, columns = fuel.shape
+    while queue:
+        time_h, row, column = heapq.heappop(queue)
+        if time_h > arrival[row, column] or time_h >= hours:
+            continue
+        base, part = int(time_h / STEP_H), (time_h / STEP_H) % 1.0
+        for (d_row, d_column), length, run in zip(DIRECTIONS, lengths, progress, strict=True):
+            r, c = row + d_row, column + d_column
+            if not (0 <= r < rows and 0 <= c < columns) or fuel_rows[r][c] <= 0:
+                continue
+            done = run[base] + part * (run[base + 1] - run[base])
+            need = done + length / fuel_rows[r][c]
+            index = bisect_left(run, need)
+            if index >= len(run):
+                continue
+            reached = (index - 1 + (need - run[index - 1]) / max(run[index] - run[index - 1], 1e-12)) * STEP_H
+            if reached < arrival[r, c]:
+                arrival[r, c] = reached
+                heapq.heappush(queue, (reached, r, c))
+    return np.where(arrival <= hours, arrival, np.nan)
+
+
+def _overpasses(rng: np.random.Generator, days: int) -> list[tuple[float, str, str, float]]:
+    """(hours since start, satellite, instrument, pixel km) of each pass: two VIIRS and two MODIS, day and night."""
+    solar_offset = rng.uniform(0, 24)
+    fleet = [
+        ("SUOMI NPP", "VIIRS", 0.375, 13.5),
+        ("NOAA 20", "VIIRS", 0.375, 12.7),
+        ("AQUA", "MODIS", 1.0, 13.6),
+        ("TERRA", "MODIS", 1.0, 10.5),
+    ]
+    passes = []
+    for satellite, instrument, pixel_km, local in fleet:
+        for day in range(-1, days + 1):
+            for half in (0.0, 12.0):
+                time_h = day * 24 + local + half - solar_offset + rng.uniform(-0.8, 0.8)
+                if 0 <= time_h <= days * 24 and rng.random() < 0.85:
+                    passes.append((time_h, satellite, instrument, pixel_km))
+    return sorted(passes)
+
+
+def _look(rng, arrival_h, residence_h, time_h, pixel_km, detect, cloudiness):
+    """One granule: pixel centres (km) seen through cloud, and whether fire was seen in each."""
+    cell = CELL_KM
+    size = int(SIDE_KM / pixel_km) - 1
+    origin = rng.uniform(0, pixel_km, 2)
+    row = origin[0] + pixel_km * (np.arange(size) + 0.5)
+    column = origin[1] + pixel_km * (np.arange(size) + 0.5)
+    yy, xx = np.meshgrid(row, column, indexing="ij")
+    burning = (arrival_h <= time_h) & (time_h < arrival_h + residence_h)
+    hot = np.zeros(yy.shape, bool)
+    age = np.full(yy.shape, np.inf)
+    steps = np.linspace(-0.5, 0.5, max(int(np.ceil(pixel_km / cell)), 1) + 2)[1:-1] * pixel_km
+    for dy in steps:
+        for dx in steps:
+            i = np.clip(((yy + dy) / cell).astype(int), 0, arrival_h.shape[0] - 1)
+            j = np.clip(((xx + dx) / cell).astype(int), 0, arrival_h.shape[1] - 1)
+            hot |= burning[i, j]
+            age = np.fmin(age, np.where(burning[i, j], time_h - arrival_h[i, j], np.inf))
+    fade = 1 - 0.6 * np.clip(age / residence_h, 0, 1)  # a cooling pixel is missed more often
+    seen_fire = hot & (rng.random(hot.shape) < detect * np.where(np.isfinite(age), fade, 0))
+    cloud = _smooth_noise(rng, 100, 8)
+    clear = cloud[(yy / SIDE_KM * 99).astype(int), (xx / SIDE_KM * 99).astype(int)] > np.quantile(cloud, cloudiness)
+    jitter = rng.normal(0, 0.15 * max(pixel_km, 0.375), (2, *yy.shape))
+    return yy[clear] + jitter[0][clear], xx[clear] + jitter[1][clear], seen_fire[clear]
+
+
+def _burned_area(rng, arrival_h, end_h, tracks, delay_h):
+    """Rows (y_km, x_km, t_h, probability, burned) of CYGNSS-like tracks, 5 km by 1 km, calibrated probability."""
+    rows = []
+    for _ in range(tracks):
+        time_h = rng.uniform(min(delay_h, end_h * 0.9), end_h)
+        centre, angle = rng.uniform(8, SIDE_KM - 8, 2), rng.uniform(0, np.pi)
+        for s in np.arange(-14, 14, 6.5 / 2):
+            y, x = centre + s * np.array([np.sin(angle), np.cos(angle)])
+            if not (1 < y < SIDE_KM - 1 and 1 < x < SIDE_KM - 1):
+                continue
+            i, j = int(y / CELL_KM), int(x / CELL_KM)
+            window = arrival_h[max(i - 4, 0) : i + 5, max(j - 4, 0) : j + 5]
+            share = float(np.mean(window <= time_h))
+            probability = float(1 / (1 + np.exp(-(4 * (share - 0.5) + rng.normal(0, 1.0)))))
+            rows.append((y, x, time_h, probability, probability >= 0.5))
+    return rows
+
+
+def make_fire(
+    seed: int,
+    observations: int = 5000,
+    days: int = 5,
+    zone: int = 13,
+    tracks: int = 0,
+    cloudiness: float | None = None,
+    corner_m: tuple[float, float] = (400_000.0, 3_700_000.0),
+    delay_h: float = 24.0,
+) -> SyntheticFire:
+    """One fire and at most about `observations` looks at it; the same seed gives the same fire."""
+    rng = np.random.default_rng(seed)
+    size = int(SIDE_KM / CELL_KM)
+    fuel = np.exp(0.45 * _smooth_noise(rng, size, 6))
+    fuel[_smooth_noise(rng, size, 5) > 2.0] = 0.0
+    start_cell = (int(rng.uniform(0.35, 0.65) * size), int(rng.uniform(0.35, 0.65) * size))
+    fuel[start_cell] = 1.0
+    hours = days * 24.0
+    progress = _directional_progress(rng, hours)
+    arrival_h = _spread(fuel, start_cell, progress, hours)
+    residence_h = float(rng.uniform(4, 12))
+    cloudiness = float(rng.uniform(0.05, 0.45)) if cloudiness is None else cloudiness
+    detect = {"VIIRS": float(rng.uniform(0.6, 0.75)), "MODIS": float(rng.uniform(0.4, 0.5))}
+    rows = []
+    for time_h, satellite, instrument, pixel_km in _overpasses(rng, days):
+        share = float(np.clip(cloudiness + rng.normal(0, 0.2), 0, 1))
+        y, x, seen = _look(rng, arrival_h, residence_h, time_h, pixel_km, detect[instrument], share)
+        rows.append(
+            pd.DataFrame(
+                {
+                    "y_km": y,
+                    "x_km": x,
+                    "t_h": time_h,
+                    "fire": seen,
+                    "satellite": satellite,
+                    "instrument": instrument,
+                    "along_m": pixel_km * 1e3,
+                    "across_m": pixel_km * 1e3,
+                }
+            )
+        )
+    looks = pd.concat(rows, ignore_index=True)
+    keep = np.flatnonzero(looks["fire"].to_numpy())
+    others = np.flatnonzero(~looks["fire"].to_numpy())
+    spare = max(observations - keep.size, observations // 2)
+    chosen = np.sort(np.concatenate([keep, rng.choice(others, min(spare, others.size), replace=False)]))
+    looks = looks.iloc[chosen].reset_index(drop=True)
+    start = pd.Timestamp("2022-06-01T18:00Z")
+    transform = Transformer.from_crs(f"EPSG:326{zone:02d}", "EPSG:4326", always_xy=True)
+    lon, lat = transform.transform(corner_m[0] + looks["x_km"] * 1e3, corner_m[1] + looks["y_km"] * 1e3)
+    times = start + pd.to_timedelta(looks["t_h"], unit="h")
+    detections = gpd.GeoDataFrame(
+        {
+            "time": times.dt.floor("ms"),
+            "delivered_at": (times + pd.Timedelta(hours=3)).dt.floor("ms"),
+            "satellite": looks["satellite"],
+            "instrument": looks["instrument"],
+            "confidence": np.where(looks["fire"], 90.0, np.nan),
+            "frp_mw": np.where(looks["fire"], 20.0, np.nan),
+            "fire": looks["fire"],
+            "along_m": looks["along_m"],
+            "across_m": looks["across_m"],
+        },
+        geometry=gpd.points_from_xy(lon, lat),
+        crs="EPSG:4326",
+    )
+    points = _burned_area(np.random.default_rng(seed + 500_000), arrival_h, hours, tracks, delay_h)
+    ba = pd.DataFrame(points, columns=["y_km", "x_km", "t_h", "burned_probability", "burned"])
+    b_lon, b_lat = transform.transform(
+        corner_m[0] + ba["x_km"].to_numpy(float) * 1e3, corner_m[1] + ba["y_km"].to_numpy(float) * 1e3
+    )
+    burned_area = gpd.GeoDataFrame(
+        {
+            "time": start + pd.to_timedelta(ba["t_h"].astype(float), unit="h"),
+            "along_m": 5000.0,
+            "across_m": 1000.0,
+            "burned_probability": ba["burned_probability"].astype(float),
+            "burned": ba["burned"].astype(bool),
+            "confidence": 80.0,
+            "mode": "raw-if",
+        },
+        geometry=gpd.points_from_xy(b_lon, b_lat),
+        crs="EPSG:4326",
+    )
+    centre = (np.array(start_cell) + 0.5) * CELL_KM * 1e3
+    i_lon, i_lat = transform.transform(corner_m[0] + centre[1], corner_m[1] + centre[0])
+    incidents = gpd.GeoDataFrame(
+        {
+            "incident_id": [f"synthetic-{seed}"],
+            "name": ["synthetic"],
+            "start": [start],
+            "area_km2": [np.nan],
+            "known_at": [start + pd.Timedelta(hours=2)],
+        },
+        geometry=gpd.points_from_xy([i_lon], [i_lat]),
+        crs="EPSG:4326",
+    )
+    cell_m = CELL_KM * 1e3
+    axis = (np.arange(size) + 0.5) * cell_m
+    return SyntheticFire(
+        seed,
+        start,
+        corner_m[0] + axis,
+        corner_m[1] + axis,
+        f"EPSG:326{zone:02d}",
+        arrival_h,
+        residence_h,
+        detections,
+        burned_area,
+        incidents,
+        start + pd.Timedelta(hours=hours),
+    )

@@ -1,0 +1,53 @@
+"""What the looks say of each cell."""
+
+import numpy as np
+
+from services.arrival.extent import closing, gather, paint
+from services.arrival.grid import FireGrid
+from services.arrival.looks import BURNED_AREA, FIRE, NO_FIRE, Looks
+
+GRID = FireGrid(32613, 400_000 + 500 * (np.arange(40) + 0.5), 3_700_000 + 500 * (np.arange(40) + 0.5), 500.0)
+
+
+def looks(rows: list[tuple[float, float, float, int, float, float]]) -> Looks:
+    x, y, t, kind, probability, radius = (np.array(column, float) for column in zip(*rows, strict=True))
+    kind = kind.astype(np.int8)
+    return Looks(x, y, t, kind, np.zeros_like(kind), probability, radius, radius)
+
+
+def test_information_tells_unseen_no_fire_and_fire_apart() -> None:
+    evidence = gather(GRID, looks([(0.25, 0.25, 5, FIRE, 1, 0.2), (5.25, 5.25, 6, NO_FIRE, 0, 0.2)]))
+    assert evidence.information[20, 20] == 2
+    assert evidence.information[30, 30] == 1
+    assert evidence.information[5, 5] == 0
+    assert evidence.latest_h[30, 30] == 6 and np.isnan(evidence.latest_h[5, 5])
+
+
+def test_footprints_cover_their_area() -> None:
+    first = paint(GRID, looks([(0.25, 0.25, 5, FIRE, 1, 2.0)]), "first")
+    area = np.isfinite(first).sum() * 0.25
+    assert abs(area - np.pi * 4) < 1.5
+
+
+def test_nothing_burns_far_from_evidence() -> None:
+    evidence = gather(GRID, looks([(0.25, 0.25, 5, FIRE, 1, 0.2), (1.25, 0.25, 9, FIRE, 1, 0.2)]))
+    assert evidence.enclosed[20, 20] and evidence.enclosed[20, 22]
+    assert not evidence.enclosed[evidence.distance_km > 1.0].any()
+    assert (evidence.margin_km[evidence.distance_km > 2.0] < -1).all()
+
+
+def test_a_likely_burned_point_far_from_the_fire_draws_no_second_fire() -> None:
+    near, far = (3.25, 0.25, 30, BURNED_AREA, 0.95, 1.0), (9.25, 9.25, 30, BURNED_AREA, 0.95, 1.0)
+    evidence = gather(GRID, looks([(0.25, 0.25, 5, FIRE, 1, 0.2), near, far]))
+    assert evidence.enclosed[20, 26]
+    assert not evidence.enclosed[38, 38]
+    doubtful = gather(GRID, looks([(0.25, 0.25, 5, FIRE, 1, 0.2), (3.25, 0.25, 30, BURNED_AREA, 0.4, 1.0)]))
+    assert not doubtful.enclosed[20, 26]
+
+
+def test_closing_fills_narrow_gaps_only_and_never_shrinks() -> None:
+    mask = np.zeros((30, 30), bool)
+    mask[10:20, 5] = mask[10:20, 9] = mask[10:20, 25] = True
+    closed = closing(mask, 3.0)
+    assert (closed | ~mask).all()
+    assert closed[15, 7] and not closed[15, 17]
