@@ -1,0 +1,188 @@
+"""Where a fire will be worth looking at in the next hours: its front, the ring it may reach, and where it is unsure.
+
+From the last arrival map when there is one, with fresher detections; else from the incident's geometry and detections.
+Every source gives places with a worth w in 0..1; the lattice then takes the largest in each of its cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import xarray as xr
+from shapely.geometry.base import BaseGeometry
+
+from services.prioritization.lattice import KM_PER_DEGREE, Lattice
+from shared.errors import DomainError
+
+Array = npt.NDArray[np.float64]
+
+RECENT_H = 24.0
+DETECTION_MEMORY_H = 48.0
+DETECTION_REACH_KM = 20.0
+SPREAD_LIMITS_M_S = (0.005, 0.5)
+SPREAD_UNKNOWN_M_S = 0.05
+LARGEST_RING_KM = 15.0
+WEIGHTLESS = 0.05
+KINDS = ("front", "ring", "uncertain", "detection", "incident")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places with their worth and what they are: ``kind`` indexes ``KINDS``. All (n,)."""
+
+    longitude_deg: Array
+    latitude_deg: Array
+    worth: Array
+    kind: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Front:
+    """The places of one fire, its assumed rate of spread and the time up to which its sources know."""
+
+    places: Places
+    spread_m_s: float
+    known_until: pd.Timestamp
+
+
+def joined(parts: list[Places]) -> Places:
+    """All places of several lists."""
+    if not parts:
+        none = np.empty(0)
+        return Places(none, none, none, none.astype(np.int64))
+    return Places(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("longitude_deg", "latitude_deg", "worth")
+        ),
+        np.concatenate([part.kind for part in parts]),
+    )
+
+
+def reference_time(arrival: xr.Dataset) -> pd.Timestamp:
+    """The origin of an arrival map's seconds; DomainError if the attribute is no time."""
+    try:
+        stamp = pd.Timestamp(str(arrival.attrs["reference_time"]))
+    except (KeyError, ValueError) as error:
+        raise DomainError(
+            "The arrival map has no usable reference_time.", field="fire_arrival", accepted="an ISO 8601 UTC time"
+        ) from error
+    return stamp.tz_localize("UTC") if stamp.tz is None else stamp.tz_convert("UTC")
+
+
+def front_of_map(arrival: xr.Dataset, time: pd.Timestamp, horizon_h: float) -> Front:
+    """Expected front from an arrival map: arrivals of its last 24 h, the ring reachable within ``horizon_h``, doubt.
+
+    The rate of spread is the growth of the burned area's equivalent radius in the map's last 24 h, within 0.005-0.5
+    m/s.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    seconds = arrival["fire_arrival_time"].to_numpy().astype(np.float64)
+    sd_h = np.nan_to_num(arrival["fire_arrival_time_sd"].to_numpy().astype(np.float64)) / 3600
+    probability = np.nan_to_num(arrival["burned_probability"].to_numpy().astype(np.float64))
+    x_m, y_m = (arrival[axis].to_numpy().astype(np.float64) for axis in ("x", "y"))
+    cell_m = float(np.abs(np.diff(x_m)).mean()) if len(x_m) > 1 else 500.0
+    origin = reference_time(arrival)
+    now_s = (time - origin).total_seconds()
+    burned = np.isfinite(seconds) & (seconds <= now_s) & (probability >= 0.5)
+    last_s = float(seconds[burned].max()) if burned.any() else now_s
+    age_h = np.where(burned, (last_s - np.nan_to_num(seconds)) / 3600, np.inf)
+    spread = _spread_m_s(int(burned.sum()), int((age_h > RECENT_H)[burned].sum()), cell_m)
+    ring_m = min(spread * horizon_h * 3600, LARGEST_RING_KM * 1000)
+    distance_m = distance_transform_edt(~burned) * cell_m if burned.any() else np.full(seconds.shape, np.inf)
+    worth = np.stack(
+        [
+            np.where(age_h <= RECENT_H, 1 - 0.5 * np.minimum(age_h, RECENT_H) / RECENT_H, 0),
+            np.where(
+                ~burned & (distance_m <= ring_m + cell_m), 0.9 - 0.6 * np.minimum(distance_m / (ring_m + cell_m), 1), 0
+            ),
+            0.7 * np.maximum(np.clip(sd_h / 12, 0, 1) * burned, 4 * probability * (1 - probability)),
+        ]
+    )
+    longitude, latitude = _geographic(arrival, x_m, y_m)
+    best = worth.max(axis=0)
+    kept = best >= WEIGHTLESS
+    places = Places(longitude[kept], latitude[kept], best[kept], worth.argmax(axis=0)[kept].astype(np.int64))
+    return Front(places, spread, origin + pd.Timedelta(seconds=last_s) if burned.any() else origin)
+
+
+def _spread_m_s(cells: int, older_cells: int, cell_m: float) -> float:
+    growth_m = (np.sqrt(cells / np.pi) - np.sqrt(older_cells / np.pi)) * cell_m
+    return float(np.clip(growth_m / (RECENT_H * 3600), *SPREAD_LIMITS_M_S)) if cells else SPREAD_UNKNOWN_M_S
+
+
+def _geographic(arrival: xr.Dataset, x_m: Array, y_m: Array) -> tuple[Array, Array]:
+    from pyproj import Transformer
+    from pyproj.exceptions import CRSError
+
+    text = str(arrival["crs"].attrs.get("crs_wkt", ""))
+    try:
+        transform = Transformer.from_crs(text, "EPSG:4326", always_xy=True)
+    except CRSError as error:
+        raise DomainError(
+            "The arrival map's variable 'crs' has no usable crs_wkt.",
+            field="fire_arrival",
+            accepted="WKT of a UTM zone",
+        ) from error
+    x, y = np.meshgrid(x_m, y_m)
+    longitude, latitude = transform.transform(x, y)
+    return np.asarray(longitude), np.asarray(latitude)
+
+
+def front_of_detections(
+    detections: pd.DataFrame, geometry: BaseGeometry, time: pd.Timestamp, lattice: Lattice
+) -> Places:
+    """Fires detected near the incident in the last 48 h: worth falls by e in 24 h; the cells around get half of it."""
+    known = detections[detections["fire"] & (detections["delivered_at"] <= time)]
+    age_h = (time - known["time"]).dt.total_seconds().to_numpy() / 3600
+    recent = (age_h >= 0) & (age_h <= DETECTION_MEMORY_H)
+    known, age_h = known[recent], age_h[recent]
+    centre = geometry.representative_point()
+    reach_deg = DETECTION_REACH_KM / KM_PER_DEGREE
+    near = known.geometry.distance(geometry).to_numpy() <= reach_deg / max(np.cos(np.radians(centre.y)), 0.2)
+    points = known.geometry[near]
+    places = Places(
+        points.x.to_numpy(),
+        points.y.to_numpy(),
+        np.exp(-age_h[near] / 24),
+        np.full(int(near.sum()), KINDS.index("detection")),
+    )
+    return joined([places, _around(places, lattice)])
+
+
+def _around(places: Places, lattice: Lattice) -> Places:
+    step = lattice.height_deg
+    parts = []
+    for north, east in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        width = step / np.maximum(np.cos(np.radians(places.latitude_deg)), 0.1)
+        ring = np.full(len(places.worth), KINDS.index("ring"))
+        parts.append(
+            Places(places.longitude_deg + east * width, places.latitude_deg + north * step, 0.5 * places.worth, ring)
+        )
+    return joined(parts)
+
+
+def front_of_incident(geometry: BaseGeometry, lattice: Lattice) -> Places:
+    """Without a map: a reported point with its surroundings, or the edge of a perimeter and, for less, its inside."""
+    kind = KINDS.index("incident")
+    if geometry.area == 0:
+        point = geometry.representative_point()
+        place = Places(np.array([point.x]), np.array([point.y]), np.array([1.0]), np.array([kind]))
+        return joined([place, _around(place, lattice)])
+    from shapely import contains_xy
+
+    step = lattice.height_deg / 2
+    edge = geometry.boundary
+    along = [edge.interpolate(d) for d in np.arange(0, edge.length, step)]
+    rim = np.array([[p.x, p.y] for p in along])
+    west, south, east, north = geometry.bounds
+    x, y = np.meshgrid(np.arange(west, east + step, step), np.arange(south, north + step, step))
+    inside = contains_xy(geometry, x.ravel(), y.ravel())
+    filling = np.stack([x.ravel()[inside], y.ravel()[inside]], axis=1)
+    worth = np.concatenate([np.full(len(rim), 0.9), np.full(len(filling), 0.3)])
+    points = np.concatenate([rim, filling])
+    return Places(points[:, 0], points[:, 1], worth, np.full(len(worth), kind))

@@ -1,0 +1,113 @@
+"""Pre-fire targets: the danger grid on its lattice, priced by the worst day within the horizon and by staleness."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import xarray as xr
+
+from services.prioritization import observation_age, reward
+from services.prioritization.lattice import KM_PER_DEGREE, Lattice
+
+Array = npt.NDArray[np.float64]
+
+SMALLEST_PRIORITY = 1e-4
+REACH_KM = 5.0
+
+
+def prefire_targets(
+    danger: xr.Dataset,
+    active: pd.DataFrame,
+    observed: pd.DataFrame | None,
+    area: tuple[float, float, float, float],
+    time: pd.Timestamp,
+    horizon_h: float,
+    lattice: Lattice,
+    keep_out_km: float,
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Target rows as for active fires, and a report. Masked and unknown places give none, nor do those of a fire.
+
+    The reward rests on the ``_x`` layers, the worst of the lead days within ``horizon_h``; low and high are the
+    smallest and largest over those days, with and without the satellites, and over the grid cells of the place.
+    """
+    cells = _cells(danger, area, horizon_h)
+    row, column = lattice.locate(cells["longitude_deg"].to_numpy(), cells["latitude_deg"].to_numpy())
+    cells["row"], cells["column"] = row, column
+    places = cells.groupby(["row", "column"], as_index=False).agg(
+        worth=("worth", "mean"),
+        worth_low=("worth_low", "min"),
+        worth_high=("worth_high", "max"),
+        grid_cells=("worth", "size"),
+    )
+    frame = places.reset_index(drop=True)
+    frame["longitude_deg"], frame["latitude_deg"] = lattice.centre(frame["row"].to_numpy(), frame["column"].to_numpy())
+    west, south, east, north = area
+    frame = frame[frame["longitude_deg"].between(west, east) & frame["latitude_deg"].between(south, north)]
+    clear = ~_near_fire(frame, active, keep_out_km)
+    in_fire = int((~clear).sum())
+    frame = frame[clear].reset_index(drop=True)
+    at = (frame["longitude_deg"].to_numpy(), frame["latitude_deg"].to_numpy())
+    age = observation_age.age_h(*at, observed, time, max(REACH_KM, 0.71 * lattice.spacing_km))
+    fresh = reward.staleness(age, "prefire")
+    frame["priority"] = reward.prefire_reward(frame["worth"].to_numpy(), fresh)
+    frame["priority_low"] = reward.prefire_reward(frame["worth_low"].to_numpy(), fresh)
+    frame["priority_high"] = reward.prefire_reward(frame["worth_high"].to_numpy(), fresh)
+    frame["staleness"], frame["observed_age_h"] = fresh, age
+    frame["target_id"] = lattice.target_id(frame["row"].to_numpy(), frame["column"].to_numpy())
+    frame["source"] = "danger"
+    frame = frame[frame["priority"] >= SMALLEST_PRIORITY].sort_values("target_id").reset_index(drop=True)
+    report = {
+        "targets": len(frame),
+        "grid_cells_masked_or_unknown": int(cells.attrs["left_out"]),
+        "places_left_to_active_fires": in_fire,
+        "priority_largest": float(frame["priority"].max()) if len(frame) else 0.0,
+        "lately_observed": int((frame["staleness"] < 0.999).sum()),
+    }
+    return frame, report
+
+
+def _cells(danger: xr.Dataset, area: tuple[float, float, float, float], horizon_h: float) -> pd.DataFrame:
+    """Known, burnable grid cells within the area with their worth and its extremes."""
+    days = max(1, int(np.ceil(horizon_h / 24)))
+    part = danger.isel(lead_day=slice(0, days)).transpose("lead_day", "latitude", "longitude", ...)
+    seen = _worth(part, "_x")
+    plain = _worth(part, "")
+    latitude, longitude = np.meshgrid(part["latitude"].to_numpy(), part["longitude"].to_numpy(), indexing="ij")
+    west, south, east, north = area
+    margin = 0.5
+    inside = (longitude >= west - margin) & (longitude <= east + margin)
+    inside &= (latitude >= south - margin) & (latitude <= north + margin)
+    known = np.isfinite(seen).any(axis=0) & (part["mask_code"].to_numpy() < 248)
+    use = inside & known
+    both = np.concatenate([seen, plain])[:, use]
+    cells = pd.DataFrame(
+        {
+            "longitude_deg": longitude[use].astype(np.float64),
+            "latitude_deg": latitude[use].astype(np.float64),
+            "worth": np.nanmax(seen[:, use], axis=0, initial=0.0),
+            "worth_low": np.nanmin(both, axis=0, initial=1.0),
+            "worth_high": np.nanmax(both, axis=0, initial=0.0),
+        }
+    )
+    cells.attrs["left_out"] = int((inside & ~known).sum())
+    return cells
+
+
+def _worth(part: xr.Dataset, suffix: str) -> Array:
+    wfsp = part["wfsp" + suffix].to_numpy().astype(np.float64)
+    return reward.danger_worth(wfsp, part["wlfp" + suffix].to_numpy().astype(np.float64))
+
+
+def _near_fire(frame: pd.DataFrame, active: pd.DataFrame, keep_out_km: float) -> npt.NDArray[np.bool_]:
+    if active.empty or frame.empty:
+        return np.zeros(len(frame), dtype=bool)
+    from scipy.spatial import cKDTree
+
+    shrink = np.cos(np.radians(frame["latitude_deg"].mean()))
+    scale = np.array([KM_PER_DEGREE * shrink, KM_PER_DEGREE])
+    columns = ["longitude_deg", "latitude_deg"]
+    distance_km, _ = cKDTree(active[columns].to_numpy() * scale).query(frame[columns].to_numpy() * scale)
+    return distance_km <= keep_out_km

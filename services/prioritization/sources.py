@@ -1,0 +1,158 @@
+"""From files to what the core computes with: weather as known at a time, drought and fuel moisture at places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from services.prioritization import features, weather
+from services.prioritization.indices import KBDI_MAX_MM
+from services.prioritization.rating import SeriesAt
+from shared.contracts import grids, schema, tables
+from shared.errors import DomainError
+
+STATION_REACH_KM = 100.0
+
+
+def to_utc(time: object) -> pd.Timestamp:
+    """An aware time as a pandas timestamp in UTC."""
+    return pd.Timestamp(time).tz_convert("UTC")  # type: ignore[arg-type]
+
+
+def is_netcdf(path: Path) -> bool:
+    """Whether a file is netCDF by its first bytes (classic or HDF5)."""
+    with path.open("rb") as stream:
+        start = stream.read(8)
+    return start[:3] == b"CDF" or start == b"\x89HDF\r\n\x1a\n"
+
+
+def weather_grid(path: Path, time: pd.Timestamp) -> weather.WeatherGrid:
+    """The grid's hours that had been issued by ``time``, checked; DomainError where none had."""
+    dataset = grids.read_netcdf(path, grids.WEATHER_GRID)
+    issued = dataset["issued_at"].to_numpy().astype("datetime64[ns]")
+    known = issued <= np.datetime64(time.tz_localize(None), "ns")
+    if not known.any():
+        raise DomainError(
+            f"Nothing of the weather had been issued by {time.isoformat()}.",
+            field="weather",
+            value=str(issued.min()) if len(issued) else "no hours",
+            accepted="weather with issued_at at or before the time",
+        )
+    return weather.weather_from_dataset(dataset.isel(time=np.flatnonzero(known)))
+
+
+def weather_series(path: Path, time: pd.Timestamp) -> tuple[SeriesAt, dict[str, int]]:
+    """A function giving hourly weather at a place, from a grid or a table of points, and what reading flagged."""
+    if is_netcdf(path):
+        grid = weather_grid(path, time)
+        return lambda longitude, latitude: weather.series_at(grid, longitude, latitude), grid.flagged
+    table = schema.read_table(path, tables.WEATHER)
+    known = table[table["issued_at"] <= time].sort_values(["valid_at", "issued_at"], kind="stable")
+    if known.empty:
+        raise DomainError(f"Nothing of the weather had been issued by {time.isoformat()}.", field="weather")
+    flagged = {}
+    for name in weather.RANGES:
+        known[name], flagged[name] = weather.check_weather(known[name].to_numpy(), name, "weather")
+    known = known.assign(time=known["valid_at"])
+    return lambda longitude, latitude: weather.series_at_stations(known, longitude, latitude, STATION_REACH_KM), flagged
+
+
+def drought_at(path: Path | None) -> Callable[[float, float], float]:
+    """KBDI in mm at a place from the fuels grid; NaN (to be imputed) without one, off it, or where it is missing."""
+    if path is None:
+        return lambda longitude, latitude: float("nan")
+    dataset = grids.read_netcdf(path)
+    if "kbdi" not in dataset.variables:
+        return lambda longitude, latitude: float("nan")
+    values = dataset["kbdi"].transpose("latitude", "longitude")
+    worst = float(values.max())
+    if worst > KBDI_MAX_MM or float(values.min()) < 0:
+        raise DomainError(
+            f"'kbdi' reaches {worst:g}; it is probably in hundredths of an inch.",
+            field="kbdi",
+            value=worst,
+            accepted=f"0..{KBDI_MAX_MM} mm",
+        )
+    return lambda longitude, latitude: _nearest(values, longitude, latitude)
+
+
+def fuel_moisture_at(path: Path | None) -> Callable[[float, float, pd.Timestamp], float]:
+    """Forecast 10-h moisture (per cent) at a place and hour; NaN where none is known, so that 1.28 x EMC stands in."""
+    if path is None:
+        return lambda longitude, latitude, hour: float("nan")
+    values = fuel_moisture_grid(path)["fuel_moisture_10h_pct"].transpose("time", "latitude", "longitude")
+    times = pd.DatetimeIndex(values["time"].to_numpy()).tz_localize("UTC")
+
+    def at(longitude: float, latitude: float, hour: pd.Timestamp) -> float:
+        index = int(times.get_indexer([hour], method="nearest")[0])
+        if abs(times[index] - hour) > pd.Timedelta(hours=1):
+            return float("nan")
+        return _nearest(values.isel(time=index), longitude, latitude)
+
+    return at
+
+
+def fuel_moisture_grid(path: Path) -> xr.Dataset:
+    """The product of forecast-fuel-moisture; DomainError naming the variable it lacks."""
+    dataset = grids.read_netcdf(path)
+    for name in ("fuel_moisture_10h_pct", "time", "latitude", "longitude"):
+        if name not in dataset.variables:
+            raise DomainError(
+                f"The fuel moisture grid lacks '{name}'.",
+                field="fuel_moisture",
+                value=name,
+                accepted="fuel_moisture_10h_pct",
+            )
+    return dataset
+
+
+def _nearest(values: xr.DataArray, longitude: float, latitude: float) -> float:
+    y, x = values["latitude"].to_numpy(), values["longitude"].to_numpy()
+    row, column = int(np.abs(y - latitude).argmin()), int(np.abs(x - longitude).argmin())
+    step_y = float(np.abs(np.diff(y)).max()) if len(y) > 1 else 1.0
+    step_x = float(np.abs(np.diff(x)).max()) if len(x) > 1 else 1.0
+    if abs(y[row] - latitude) > step_y or abs(x[column] - longitude) > step_x:
+        return float("nan")
+    return float(values.to_numpy()[row, column])
+
+
+def fire_table(path: Path) -> pd.DataFrame:
+    """A training table (CSV, gzipped CSV or Parquet) with the model's names and units, derived columns added."""
+    head = path.open("rb").read(4)
+    try:
+        if head == b"PAR1":
+            table = pd.read_parquet(path)
+        else:
+            table = pd.read_csv(path, compression="gzip" if head[:2] == b"\x1f\x8b" else None, low_memory=False)
+    except (ValueError, OSError) as error:
+        raise DomainError(
+            f"The table cannot be read: {error}", field="table", accepted="CSV, CSV.gz or Parquet"
+        ) from error
+    if "T_SFC_historical" in table.columns:
+        return features.from_victoria(table)
+    return features.derive(table)
+
+
+def station_table(path: Path) -> pd.DataFrame:
+    """Fuel-moisture observations: Parquet with time, fuel_moisture_10h_pct and points (geometry or *_deg columns)."""
+    import geopandas
+
+    try:
+        frame = geopandas.read_parquet(path)
+    except ValueError:
+        frame = pd.read_parquet(path)
+        if not {"longitude_deg", "latitude_deg"} <= set(frame.columns):
+            raise DomainError(
+                "The observations have no place.",
+                field="observations",
+                accepted="geometry or longitude_deg, latitude_deg",
+            ) from None
+        points = geopandas.points_from_xy(frame["longitude_deg"], frame["latitude_deg"])
+        frame = geopandas.GeoDataFrame(frame, geometry=points, crs="EPSG:4326")
+    if "time" in frame.columns:
+        frame["time"] = pd.to_datetime(frame["time"], utc=True)
+    return frame
