@@ -57,7 +57,8 @@ def _detections(axes: Axes, arrival: ArrivalMap, looks: Looks) -> None:
         if len(chosen):
             lon, lat = arrival.grid.degrees((chosen.x_km + east) * 1e3, (chosen.y_km + north) * 1e3)
             axes.scatter(np.unwrap(lon, period=360), lat, linewidths=0.6, zorder=4, **style)
-    axes.legend(loc="lower left", fontsize=8, framealpha=0.9)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower left", fontsize=8, framealpha=0.9)
 
 
 def draw_map(
