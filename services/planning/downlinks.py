@@ -1,0 +1,223 @@
+"""From collected images to an exact command timeline: which station serves which satellite in every second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planning.coverage import Coverage, reduce_coverage
+from services.planning.data_cycles import Chunks, build_chunks
+from services.planning.milp import DataCycleModel, build_model
+from services.planning.problem import FloatArray, IntArray, PlanningProblem
+from services.planning.solving import branch_and_bound
+from services.planning.timeline import Shortfall, first_shortfall
+
+REFINEMENTS = 40
+NODES = 200
+GUARD_S = 30.0
+LATENCY_GAP = 0.005
+"""Downlinks this near to the most and earliest possible are good enough: rewards no longer depend on them."""
+BATTERY_PIECE_S = 30
+BATTERY_MARGIN_WH = 1e-6
+"""Kept above the floor where possible, so that solver tolerances never show in the exact replay."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Images collected (indices, frozen included) and the station serving each satellite-second (-1: none)."""
+
+    images: IntArray
+    downlink: NDArray[np.int16]
+    dropped: IntArray
+    """Images of the request that no exact timeline could hold."""
+    cuts: tuple[tuple[int, int], ...] = ()
+    """(satellite, second) at which totals per chunk had to be refined."""
+
+
+def emit_timeline(problem: PlanningProblem, images: IntArray) -> Timeline:
+    """An exact timeline for ``images`` that brings data down as early as resources allow.
+
+    Totals per chunk come from a small integer program. Where second-by-second simulation finds a rule broken inside a
+    chunk, the chunk is cut there and the program solved again; images that still do not fit are dropped, cheapest first.
+    """
+    wanted = np.unique(np.concatenate([images, problem.frozen_images])).astype(np.int64)
+    kept = wanted
+    cuts: tuple[tuple[int, int], ...] = ()
+    for _ in range(REFINEMENTS + len(wanted)):
+        chunks = build_chunks(problem, cuts)
+        seconds = _downlink_seconds(problem, chunks, kept)
+        if seconds is None:
+            fitting = _fitting(problem, chunks, kept)
+            if len(fitting) == len(kept):
+                fitting = _without_cheapest(problem, kept, Shortfall("storage", 0, problem.horizon_s))
+            kept = fitting
+            continue
+        downlink = place_seconds(problem, chunks, kept, seconds)
+        broken = first_shortfall(problem, kept, downlink)
+        if broken is None:
+            return Timeline(kept, downlink, np.setdiff1d(wanted, kept), cuts)
+        new = _finer(problem, chunks, kept, broken, cuts)
+        if new == cuts or len(cuts) > 4 * REFINEMENTS:
+            kept = _without_cheapest(problem, kept, broken)
+        cuts = new
+    raise RuntimeError("no exact timeline exists even without new images")
+
+
+def _finer(
+    problem: PlanningProblem, chunks: Chunks, images: IntArray, broken: Shortfall, cuts: tuple[tuple[int, int], ...]
+) -> tuple[tuple[int, int], ...]:
+    """Cuts at the break; where those exist already, around its satellite's last images taken during contacts before it.
+
+    Downlinks and images in one chunk are the one thing whose order totals do not tell.
+    """
+    s = broken.satellite
+    new = {*cuts, (s, broken.second), (s, broken.second + 1)}
+    if broken.rule == "battery":  # draining and charging alternate within a chunk: keep them apart
+        first = chunks.offset[s] + np.searchsorted(chunks.end_s[chunks.offset[s] : chunks.offset[s + 1]], broken.second, "right")
+        pieces = range(int(chunks.start_s[first]), int(chunks.end_s[first]), BATTERY_PIECE_S)
+        new |= {(s, second) for second in pieces}
+    if len(new) == len(cuts):
+        chunk = chunks.image_chunk[images]
+        long = chunks.end_s[chunk] - chunks.start_s[chunk] > 1
+        near = np.isin(chunk, chunks.link_chunk) & long & (chunks.satellite[chunk] == s)
+        near &= chunks.start_s[chunk] <= broken.second
+        for second in np.sort(problem.images.second[images[near]])[-2:].tolist():
+            new |= {(s, second), (s, second + 1)}
+    return tuple(sorted(new))
+
+
+def _fixed_model(problem: PlanningProblem, chunks: Chunks, images: IntArray, margin_wh: float) -> DataCycleModel:
+    nothing = Coverage(
+        images, np.zeros(len(images) + 1, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0, bool),
+        np.full(len(problem.targets.value), -1, np.int64),
+    )  # fmt: skip
+    model = build_model(problem, chunks, nothing)
+    low, cost = model.low.copy(), model.cost.copy()
+    low[: model.images] = 1.0
+    low[len(low) - len(chunks) :] += margin_wh
+    begin = model.images + model.groups
+    # early seconds are worth up to twice as much as late ones: throughput first, then latency
+    cost[begin : begin + model.links] = 2.0 - chunks.start_s[chunks.link_chunk] / problem.horizon_s
+    return replace(model, low=low, cost=cost)
+
+
+def _downlink_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> IntArray | None:
+    """Whole downlink seconds per link, as much and as early as possible; None if the images do not fit."""
+    for margin_wh in (BATTERY_MARGIN_WH, 0.0):
+        model = _fixed_model(problem, chunks, images, margin_wh)
+        whole = np.zeros(len(model.cost), bool)
+        whole[model.images + model.groups : model.images + model.groups + model.links] = True
+        solution = branch_and_bound(model, whole, LATENCY_GAP, NODES, GUARD_S)
+        if solution.feasible:
+            return np.rint(solution.links).astype(np.int64)
+    return None
+
+
+def _fitting(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> IntArray:
+    """The most valuable subset of ``images`` that satisfies the (refined) model."""
+    targets = len(problem.targets.value)
+    coverage = reduce_coverage(problem, chunks, images, np.ones(targets, bool), np.zeros(targets, bool))
+    model = build_model(problem, chunks, coverage)
+    whole = np.zeros(len(model.cost), bool)
+    whole[: model.images] = True
+    solution = branch_and_bound(model, whole, 1e-4, NODES, GUARD_S)
+    return coverage.image[solution.images > 0.5]
+
+
+def _without_cheapest(problem: PlanningProblem, images: IntArray, broken: Shortfall) -> IntArray:
+    """``images`` less the one of the broken satellite, before the break, whose loss costs least."""
+    own = problem.images
+    movable = images[~np.isin(images, problem.frozen_images)]
+    near = movable[(own.satellite[movable] == broken.satellite) & (own.second[movable] <= broken.second)]
+    pool = near if len(near) else movable
+    if not len(pool):
+        raise RuntimeError(f"rule {broken.rule} is broken at second {broken.second} without any new image")
+    count = np.bincount(
+        own.target[np.isin(own.image_of_entry(), images)], minlength=len(problem.targets.value)
+    )
+    losses = [float(problem.targets.value[c[count[c] == 1]].sum()) for c in map(own.covered, pool)]
+    return np.setdiff1d(images, pool[int(np.argmin(losses))])
+
+
+def place_seconds(
+    problem: PlanningProblem, chunks: Chunks, images: IntArray, seconds: IntArray
+) -> NDArray[np.int16]:
+    """Give each link its seconds: contiguous blocks where nothing interferes, else second by second."""
+    downlink = problem.frozen.downlink.copy()
+    busy = np.zeros_like(problem.sunlit)
+    busy[problem.images.satellite[images], problem.images.second[images]] = True
+    busy[problem.frozen.satellite, problem.frozen.second] = True
+    fullness = _fullness(problem, chunks, images, seconds)
+    spans: dict[tuple[int, int], list[int]] = {}
+    for link in np.flatnonzero(seconds > 0):
+        chunk = chunks.link_chunk[link]
+        spans.setdefault((int(chunks.start_s[chunk]), int(chunks.end_s[chunk])), []).append(int(link))
+    for (begin, end), links in sorted(spans.items()):
+        satellites = [int(chunks.satellite[chunks.link_chunk[link]]) for link in links]
+        if len(set(satellites)) == len(satellites) and not busy[satellites, begin:end].any():
+            _blocks(chunks, links, seconds, fullness, downlink)
+        else:
+            _second_by_second(problem, chunks, links, seconds, begin, end, downlink, busy)
+    return downlink
+
+
+def _fullness(problem: PlanningProblem, chunks: Chunks, images: IntArray, seconds: IntArray) -> FloatArray:
+    """Charge at the start of each chunk from totals, as a fraction of the span between floor and capacity."""
+    collect = np.bincount(chunks.image_chunk[images], minlength=len(chunks))
+    known = np.bincount(chunks.image_chunk[problem.frozen_images], minlength=len(chunks))
+    collect = collect + chunks.frozen_collect - known
+    downlink = np.bincount(chunks.link_chunk, seconds, minlength=len(chunks)) + chunks.frozen_downlink
+    fullness = np.zeros(len(chunks))
+    for s, limits in enumerate(problem.satellites):
+        charge, span = limits.battery_initial_wh, max(1e-9, limits.battery_capacity_wh - limits.battery_min_wh)
+        for c in range(chunks.offset[s], chunks.offset[s + 1]):
+            fullness[c] = (charge - limits.battery_min_wh) / span
+            energy = chunks.base_w[c] * (chunks.end_s[c] - chunks.start_s[c])
+            energy -= limits.collect_w * collect[c] + limits.downlink_w * downlink[c]
+            charge = min(limits.battery_capacity_wh, charge + energy / 3600)
+    return fullness
+
+
+def _blocks(
+    chunks: Chunks, links: list[int], seconds: IntArray, fullness: FloatArray, downlink: NDArray[np.int16]
+) -> None:
+    """Full batteries downlink first, so that charging is not lost; low ones last, after charging."""
+    head: dict[int, int] = {}
+    tail: dict[int, int] = {}
+    for link in sorted(links, key=lambda item: (fullness[chunks.link_chunk[item]], item)):
+        chunk, station, length = chunks.link_chunk[link], int(chunks.link_station[link]), int(seconds[link])
+        if fullness[chunk] < 0.5:
+            stop = tail.get(station, int(chunks.end_s[chunk]))
+            begin = tail[station] = stop - length
+        else:
+            begin = head.get(station, int(chunks.start_s[chunk]))
+            stop = head[station] = begin + length
+        downlink[chunks.satellite[chunk], begin:stop] = station
+
+
+def _second_by_second(
+    problem: PlanningProblem, chunks: Chunks, links: list[int], seconds: IntArray, begin: int, end: int,
+    downlink: NDArray[np.int16], busy: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Largest remaining need first, skipping seconds of collecting and of empty storage."""
+    need = {link: int(seconds[link]) for link in links}
+    satellite = {link: int(chunks.satellite[chunks.link_chunk[link]]) for link in links}
+    room = {}
+    for s in set(satellite.values()):
+        limits = problem.satellites[s]
+        taken = int(busy[s, :begin].sum()) + limits.stored_images_initial
+        room[s] = taken * limits.downlink_s_per_image - int((downlink[s, :begin] >= 0).sum())
+    for t in range(begin, end):
+        stations, served = set(), set()
+        for link in sorted(links, key=lambda item: (-need[item], item)):
+            s, station = satellite[link], int(chunks.link_station[link])
+            if need[link] and station not in stations and s not in served and not busy[s, t] and room[s] > 0:
+                downlink[s, t] = station
+                need[link] -= 1
+                room[s] -= 1
+                stations.add(station)
+                served.add(s)
+        for s in room:
+            room[s] += problem.satellites[s].downlink_s_per_image * int(busy[s, t])

@@ -1,0 +1,51 @@
+"""The baseline a planner must beat: images in order of their own reward, taken wherever they still fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.planning.annealing_plan import allot_downlinks, energy_binds
+from services.planning.coverage import reduce_coverage
+from services.planning.data_cycles import Chunks
+from services.planning.local_search import construct, search_space
+from services.planning.problem import IntArray, PlanningProblem
+
+DOWNLINK_SHARES = (1.0, 0.75, 0.5, 0.25)
+"""Shares of contact time tried where downlinking in all of it would empty the battery."""
+
+
+def greedy_images(problem: PlanningProblem, chunks: Chunks) -> IntArray:
+    """Images of the greedy baseline: highest total reward first, skipped if they add nothing or do not fit."""
+    targets = len(problem.targets.value)
+    coverage = reduce_coverage(
+        problem, chunks, np.arange(len(problem.images)), np.ones(targets, bool), np.zeros(targets, bool)
+    )
+    reward = coverage.matrix() @ coverage.value
+    sharing = np.bincount(chunks.link_cell, minlength=len(chunks.cell_free_s))[chunks.link_cell]
+    links = chunks.cell_free_s[chunks.link_cell] / np.maximum(1, sharing)
+    binds = energy_binds(problem, chunks)
+    best: IntArray = problem.frozen_images
+    for share in DOWNLINK_SHARES if binds else DOWNLINK_SHARES[:1]:
+        allotted = allot_downlinks(problem, chunks, links * share, spare=not binds)
+        space, order = search_space(problem, chunks, coverage, allotted)
+        chosen = construct(space, np.argsort(-reward[order], kind="stable"))
+        images = np.sort(coverage.image[order][chosen])
+        if problem.objective(images) > problem.objective(best):
+            best = images
+    return best
+
+
+def complete(problem: PlanningProblem, chunks: Chunks, images: IntArray, downlink: np.ndarray) -> IntArray:
+    """``images`` plus any that still gain something within the downlinks already emitted."""
+    targets = len(problem.targets.value)
+    coverage = reduce_coverage(
+        problem, chunks, np.arange(len(problem.images)), np.ones(targets, bool), np.zeros(targets, bool)
+    )
+    total = np.zeros((downlink.shape[0], downlink.shape[1] + 1), np.int64)
+    np.cumsum((downlink >= 0) & (problem.frozen.downlink < 0), axis=1, out=total[:, 1:])
+    allotted = total[chunks.satellite, chunks.end_s] - total[chunks.satellite, chunks.start_s]
+    space, order = search_space(problem, chunks, coverage, allotted)
+    reward = coverage.matrix() @ coverage.value
+    seed = np.isin(coverage.image[order], images)
+    chosen = construct(space, np.argsort(-reward[order], kind="stable"), minimum=1e-12, seed=seed)
+    return np.union1d(images, coverage.image[order][chosen])

@@ -1,0 +1,215 @@
+"""Plan: reduce, decide whether mandatory targets can hold, solve with a proven bound, emit an exact timeline."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from services.planning.annealing_plan import search_plan
+from services.planning.coverage import Coverage, reduce_coverage
+from services.planning.data_cycles import Chunks, build_chunks
+from services.planning.downlinks import Timeline, emit_timeline
+from services.planning.greedy import complete
+from services.planning.milp import build_model
+from services.planning.problem import BoolArray, IntArray, PlanningProblem
+from services.planning.solving import Solution, branch_and_bound, solve_relaxation
+from services.planning.timeline import TOLERANCE_WH, battery_wh
+from shared.errors import DomainError
+
+SMALL_ENTRIES = 12_000
+"""Image-target pairs (reduced) up to which branch and bound runs first."""
+NODES = 400
+ROUNDS = 6
+MOVES_PER_UNIT = 1_000_000
+DEFAULT_WORK = 20.0
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """``mip_gap`` relative; ``time_limit_s`` a guard; ``work_limit`` counted units (a million search moves each)."""
+
+    mip_gap: float = 0.005
+    time_limit_s: float = 60.0
+    work_limit: float = DEFAULT_WORK
+    active_mandatory: str = "auto"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A timeline with its objective (equation 1), proven upper bound and how it came about."""
+
+    timeline: Timeline
+    objective: float
+    bound: float
+    mandatory: bool
+    mandatory_possible: bool
+    method: str
+    time_limited: bool
+    model_size: dict[str, int]
+
+    @property
+    def gap(self) -> float:
+        """(bound - objective) / bound; 0 where nothing can be gained."""
+        return max(0.0, (self.bound - self.objective) / self.bound) if self.bound > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The guard: seconds left of ``limit_s`` since ``started``."""
+
+    started: float
+    limit_s: float
+
+    def left(self) -> float:
+        return self.limit_s - (time.monotonic() - self.started)
+
+
+def plan(problem: PlanningProblem, options: Options, progress: Progress = lambda percent, text: None) -> Plan:
+    """Maximise equation 1 under the schedule contract.
+
+    Small cases are solved again with finer chunks where the exact timeline could not hold the model's images. Raises
+    `DomainError` where a satellite cannot even idle, or where ``active_mandatory`` is ``true`` and not all can be met.
+    """
+    clock = Clock(time.monotonic(), options.time_limit_s)
+    _check_idle(problem)
+    best: Plan | None = None
+    cuts: tuple[tuple[int, int], ...] = ()
+    for _ in range(ROUNDS):
+        chunks = build_chunks(problem, cuts)
+        found = _plan_once(problem, chunks, options, clock, progress)
+        if best is not None:
+            bound, cut = min(best.bound, found.bound), best.time_limited or found.time_limited
+            better = found if found.objective > best.objective else best
+            found = replace(better, bound=max(bound, better.objective), time_limited=cut)
+        best = found
+        new = tuple(sorted({*cuts, *best.timeline.cuts}))
+        small = best.model_size["entries_reduced"] <= SMALL_ENTRIES
+        if best.gap <= options.mip_gap or not small or new == cuts or clock.left() < 0:
+            break
+        cuts = new
+    return best
+
+
+def _plan_once(
+    problem: PlanningProblem, chunks: Chunks, options: Options, clock: Clock, progress: Progress
+) -> Plan:
+    seen = problem.covered_targets(np.arange(len(problem.images)))
+    progress(5, "mandatory targets")
+    wanted = problem.targets.active & seen
+    seed, possible = _mandatory_seed(problem, chunks, wanted, options, clock)
+    if options.active_mandatory == "true":
+        _demand_all(problem, seen, possible)
+    mandatory = options.active_mandatory != "false" and possible
+    required = wanted if mandatory else np.zeros(len(seen), bool)
+    coverage = reduce_coverage(problem, chunks, np.arange(len(problem.images)), np.ones(len(seen), bool), required)
+    progress(15, "solving")
+    images, bound, method, cut = _solve(problem, chunks, coverage, seed if mandatory else None, options, clock, progress)
+    progress(80, "exact timeline")
+    timeline = _emit_full(problem, chunks, images)
+    objective = problem.objective(timeline.images)
+    kept = mandatory and bool(problem.covered_targets(timeline.images)[required].all())
+    size = {
+        "images": len(problem.images), "images_reduced": len(coverage.image), "targets": int(seen.sum()),
+        "target_groups": len(coverage.value), "entries_reduced": len(coverage.group), "chunks": len(chunks),
+        "cycles": int(sum(chunks.cycle[chunks.offset[1:] - 1] + 1)),
+    }  # fmt: skip
+    return Plan(timeline, objective, max(bound, objective), kept, possible, method, cut, size)
+
+
+def _emit_full(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> Timeline:
+    """The exact timeline, filled up with images that still fit and gain something."""
+    timeline = emit_timeline(problem, images)
+    more = complete(problem, chunks, timeline.images, timeline.downlink)
+    if len(more) > len(timeline.images):
+        fuller = emit_timeline(problem, more)
+        if problem.objective(fuller.images) > problem.objective(timeline.images):
+            return replace(fuller, cuts=tuple(sorted({*timeline.cuts, *fuller.cuts})))
+    return timeline
+
+
+def _check_idle(problem: PlanningProblem) -> None:
+    """Without any new command the battery must stay above its floor, or no plan exists."""
+    battery = battery_wh(problem, problem.frozen_images, problem.frozen.downlink)
+    for s, limits in enumerate(problem.satellites):
+        low = battery[s] < limits.battery_min_wh - TOLERANCE_WH
+        if low.any():
+            second = int(np.argmax(low))
+            raise DomainError(
+                f"{limits.name} falls below its battery floor at second {second} without any new command",
+                field="spacecraft.battery_min_wh", value=round(float(battery[s, second]), 4),
+                accepted=f"a power budget that idles above {limits.battery_min_wh:g} Wh",
+            )  # fmt: skip
+
+
+def _mandatory_seed(
+    problem: PlanningProblem, chunks: Chunks, wanted: BoolArray, options: Options, clock: Clock
+) -> tuple[IntArray, bool]:
+    """Images that meet every wanted target, and whether such a set exists (counting targets, rewards aside)."""
+    none = np.zeros(0, np.int64)
+    if options.active_mandatory == "false" or not wanted.any():
+        return none, True
+    everything = np.arange(len(problem.images))
+    required = np.zeros(len(wanted), bool)
+    coverage = reduce_coverage(problem, chunks, everything, wanted, wanted)
+    coverage = Coverage(
+        coverage.image, coverage.start, coverage.group, np.ones(len(coverage.value)),
+        np.zeros(len(coverage.value), bool), coverage.group_of,
+    )  # fmt: skip
+    model = build_model(problem, chunks, coverage)
+    whole = np.zeros(len(model.cost), bool)
+    whole[: model.images] = True
+    solution = branch_and_bound(model, whole, 0.0, NODES, min(30.0, clock.left()))
+    images = coverage.image[solution.images > 0.5] if solution.feasible else none
+    required[wanted] = True
+    return images, bool(problem.covered_targets(images)[required].all())
+
+
+def _demand_all(problem: PlanningProblem, seen: BoolArray, possible: bool) -> None:
+    missing = problem.targets.target_id[problem.targets.active & ~seen]
+    if len(missing) or not possible:
+        what = f"{len(missing)} have no usable opportunity" if len(missing) else "storage, battery or stations forbid it"
+        raise DomainError(
+            f"not all active targets can be observed: {what}", field="active_mandatory", value="true",
+            accepted="auto or false, which plan the most valuable ones and name the rest",
+        )  # fmt: skip
+
+
+def _solve(
+    problem: PlanningProblem, chunks: Chunks, coverage: Coverage, seed: IntArray | None, options: Options,
+    clock: Clock, progress: Progress,
+) -> tuple[IntArray, float, str, bool]:  # fmt: skip
+    """Images, proven bound, method and whether the guard cut it: branch and bound if small, else LP plus search."""
+    model = build_model(problem, chunks, coverage)
+    whole = np.zeros(len(model.cost), bool)
+    whole[: model.images] = True
+    first: Solution | None = None
+    if len(coverage.group) <= SMALL_ENTRIES:
+        first = branch_and_bound(model, whole, options.mip_gap, NODES, clock.left() / 2)
+        chosen = coverage.image[first.images > 0.5]
+        value = problem.objective(chosen)
+        if first.feasible and first.bound - value <= options.mip_gap * max(first.bound, 1e-9):
+            return chosen, first.bound, "branch and bound", first.time_limited
+    relaxation = solve_relaxation(model, max(5.0, clock.left() * 0.7))
+    progress(45, f"bound {relaxation.bound:.6g}")
+    bound = min(relaxation.bound, first.bound) if first else relaxation.bound
+    moves = int(options.work_limit * MOVES_PER_UNIT)
+    chosen, cut = search_plan(
+        problem, chunks, coverage, model, relaxation, seed, moves,
+        lambda done, value: _guard(done, moves, value, bound, options, clock, progress),
+    )  # fmt: skip
+    candidates = [chosen] if first is None or not first.feasible else [chosen, coverage.image[first.images > 0.5]]
+    best = max(candidates, key=problem.objective)
+    slow = relaxation.time_limited or (first is not None and first.time_limited)
+    return best, bound, "interior-point bound and annealing", cut or slow
+
+
+def _guard(
+    done: int, moves: int, value: float, bound: float, options: Options, clock: Clock, progress: Progress
+) -> bool:
+    progress(45 + 35 * done / max(1, moves), f"search {done}/{moves} moves, bound {bound:.6g}")
+    return clock.left() <= 0

@@ -1,0 +1,92 @@
+"""Reduction and bounds: what is merged or dropped never changes the optimum, and multipliers always bound it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.services.planning.planning_cases import Case, exhaustive_optimum, random_case
+
+from services.planning.building import build_problem
+from services.planning.coverage import reduce_coverage
+from services.planning.data_cycles import build_chunks
+from services.planning.local_search import anneal, construct, search_space
+from services.planning.milp import build_model, lagrangian_bound
+from services.planning.problem import PlanningProblem
+from services.planning.solving import branch_and_bound, solve_relaxation
+from services.planning.spacecraft_limits import satellite_limits
+
+
+def problem_of(case: Case) -> PlanningProblem:
+    names = {s for _, s, _, _ in case.images} | {c[0] for c in case.contacts}
+    craft = case.spacecraft
+    import pandas as pd
+
+    start = pd.Timestamp(craft.horizon_start).tz_convert("UTC")
+    return build_problem(**case.tables, spacecraft=satellite_limits(craft, names), horizon_start=start,
+                         horizon_s=craft.horizon_s)  # fmt: skip
+
+
+def reduced(problem: PlanningProblem):  # type: ignore[no-untyped-def]
+    chunks, targets = build_chunks(problem), len(problem.targets.value)
+    everything = np.arange(len(problem.images))
+    return chunks, reduce_coverage(problem, chunks, everything, np.ones(targets, bool), np.zeros(targets, bool))
+
+
+def test_targets_seen_by_the_same_images_become_one() -> None:
+    case = Case(
+        [(0, "CYGFM01", 1, [1, 2, 3]), (1, "CYGFM01", 5, [1, 2])],
+        {1: ("prefire", 1.0), 2: ("active", 0.5), 3: ("prefire", 2.0), 4: ("prefire", 9.0)}, [],
+    )  # fmt: skip
+    problem = problem_of(case)
+    _, coverage = reduced(problem)
+    assert sorted(coverage.value.tolist()) == [2.0, 6.0]
+    assert coverage.group_of[0] == coverage.group_of[1] != coverage.group_of[2]
+    assert coverage.group_of[3] == -1
+
+
+def test_a_subset_in_the_same_chunk_is_dropped_and_across_chunks_kept() -> None:
+    shots = [(0, "CYGFM01", 1, [1]), (1, "CYGFM01", 2, [1, 2]), (2, "CYGFM01", 9, [1])]
+    rewards = {1: ("prefire", 1.0), 2: ("prefire", 1.0)}
+    problem = problem_of(Case(shots, rewards, [("CYGFM01", "hawaii", 4, 6)]))
+    _, coverage = reduced(problem)
+    assert problem.images.image_id[coverage.image].tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_multipliers_give_a_bound(seed: int) -> None:
+    case = random_case(seed)
+    best = exhaustive_optimum(case)
+    problem = problem_of(case)
+    chunks, coverage = reduced(problem)
+    model = build_model(problem, chunks, coverage)
+    rng = np.random.default_rng(seed)
+    for scale in (0.0, 0.1, 1.0, 10.0):
+        bound, _ = lagrangian_bound(model, scale * rng.normal(size=len(model.row_low)))
+        assert bound >= best - 1e-6
+    relaxation = solve_relaxation(model, 10.0)
+    whole = np.arange(len(model.cost)) < model.images
+    exact = branch_and_bound(model, whole, 0.0, 1000, 10.0)
+    assert relaxation.bound >= exact.bound - 1e-6 >= best - 1e-5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_annealing_never_loses_and_repeats_exactly(seed: int) -> None:
+    problem = problem_of(random_case(seed, 3, 24, tight=False))
+    chunks, coverage = reduced(problem)
+    downlink = np.zeros(len(chunks), np.int64)
+    space, order = search_space(problem, chunks, coverage, downlink)
+    start = construct(space, np.arange(len(space.chunk)))
+    first, again = (anneal(space, start, 20_000, 1.0, 0.05) for _ in range(2))
+    assert np.array_equal(first.chosen, again.chosen)
+    assert first.value >= problem.objective(coverage.image[order][start]) - 1e-9
+    assert first.value == pytest.approx(problem.objective(coverage.image[order][first.chosen]))
+
+
+def test_shared_cuts_make_station_cells_equal() -> None:
+    problem = problem_of(replace(random_case(3), contacts=[("CYGFM01", "hawaii", 2, 8), ("CYGFM02", "hawaii", 5, 12)]))
+    chunks = build_chunks(problem)
+    cells = [sorted(map(int, chunks.start_s[chunks.link_chunk[chunks.link_cell == c]])) for c in range(len(chunks.cell_free_s))]
+    assert [5, 5] in cells
+    assert all(len(set(starts)) == 1 for starts in cells)
