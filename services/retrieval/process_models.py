@@ -1,0 +1,131 @@
+"""Inputs and outputs of the retrieval service's processes."""
+
+from __future__ import annotations
+
+from pydantic import AwareDatetime, Field
+
+from shared.process import ArtifactRef, ProcessInputs, ProcessOutputs
+
+OBSERVATIONS = "level-1 netCDF files (CYGNSS v3 variable names), nominal 17 x 11 or raw-IF 69 x 111 maps"
+
+
+class SimulateObservationsInputs(ProcessInputs):
+    """Where and when the satellites look, and the surface as nature has it."""
+
+    specular_points: ArtifactRef = Field(description="specular_points table; a column `nominal` marks tracked channels")
+    surface: ArtifactRef = Field(description="surface netCDF: daily soil moisture, vegetation, roughness, burn times")
+    images: ArtifactRef | None = Field(None, description="as_run table: the raw-IF seconds that were collected")
+    seed: int = Field(0, ge=0, description="seed of noise and speckle")
+    nominal: bool = Field(True, description="simulate the nominal 17 x 11 maps")
+    raw_if: bool = Field(True, description="simulate the 69 x 111 maps of the raw-IF seconds")
+    downlinked_by: AwareDatetime | None = Field(
+        None, description="only images on the ground by this time (null: every image that was not lost)"
+    )
+
+
+class SimulateObservationsOutputs(ProcessOutputs):
+    nominal: ArtifactRef | None = Field(None, description="level-1 netCDF of 17 x 11 maps")
+    raw_if: ArtifactRef | None = Field(None, description="level-1 netCDF of 69 x 111 maps; null without images")
+    report: ArtifactRef
+    nominal_count: int
+    raw_if_count: int
+
+
+class ObservedInputs(ProcessInputs):
+    """What was seen, and between which times it counts."""
+
+    observations: list[ArtifactRef] = Field(min_length=1, description=OBSERVATIONS)
+    time_from: AwareDatetime | None = Field(None, description="only looks from this time on")
+    time_to: AwareDatetime | None = Field(None, description="only looks before this time, e.g. a cut-off")
+
+
+class RetrieveBurnedAreaInputs(ObservedInputs):
+    """What was seen, how the places looked before, and what to judge with."""
+
+    baseline: ArtifactRef | None = Field(
+        None, description="pre-fire reflectivity per EASE cell, from train-soil-moisture; null: judged without change"
+    )
+    model: ArtifactRef | None = Field(None, description="model from train-burned-area (UBJ); null: the shipped one")
+
+
+class RetrieveBurnedAreaOutputs(ProcessOutputs):
+    burned_area: ArtifactRef
+    report: ArtifactRef
+    map: ArtifactRef
+    look_count: int
+    burned_count: int
+
+
+class RetrieveSoilMoistureInputs(ObservedInputs):
+    """What was seen, and what each cell's reflectivity means there."""
+
+    reference: ArtifactRef = Field(
+        description="Parquet per EASE-Grid 9 km cell: row, column, soil_moisture_mean (m3/m3), reflectivity_mean_db, "
+        "slope (m3/m3 per dB), sd (m3/m3), from train-soil-moisture"
+    )
+
+
+class RetrieveSoilMoistureOutputs(ProcessOutputs):
+    soil_moisture: ArtifactRef
+    grid: ArtifactRef
+    report: ArtifactRef
+    cell_count: int
+
+
+class TrainBurnedAreaInputs(ObservedInputs):
+    """Looks with known fate."""
+
+    labels: ArtifactRef = Field(
+        description="Parquet longitude_deg, latitude_deg, burn_time (null: unburned), or netCDF grid of burn_time"
+    )
+    baseline: ArtifactRef | None = Field(None, description="pre-fire reflectivity per EASE cell")
+    calibration_share: float = Field(0.25, gt=0.05, lt=0.6, description="share of 1 degree blocks kept for calibration")
+
+
+class TrainBurnedAreaOutputs(ProcessOutputs):
+    model: ArtifactRef
+    report: ArtifactRef
+    look_count: int
+    auc: float | None = Field(description="area under the ROC curve on the calibration blocks; null if undefined")
+
+
+class TrainSoilMoistureInputs(ObservedInputs):
+    """Looks of the weeks before, with soil moisture of another sensor for the same days."""
+
+    soil_moisture: ArtifactRef = Field(
+        description="SMAP-like Parquet on EASE-Grid 9 km: time, row, column, soil_moisture (m3/m3)"
+    )
+
+
+class TrainSoilMoistureOutputs(ProcessOutputs):
+    reference: ArtifactRef = Field(description="per 9 km cell: what retrieve-soil-moisture needs")
+    baseline: ArtifactRef = Field(description="pre-fire reflectivity per cell: what retrieve-burned-area compares with")
+    report: ArtifactRef
+    cell_count: int
+
+
+class ComputeDdmInputs(ProcessInputs):
+    """A raw-IF recording and the reflection to look for in it."""
+
+    recording: ArtifactRef = Field(description="raw-IF recording (.bin): DRT0 header, two-bit samples")
+    prn: int = Field(ge=1, le=32, description="GPS PRN of the transmitter")
+    channel: int = Field(1, ge=0, le=3, description="0 zenith, 1 starboard, 2 port")
+    doppler_hz: float = Field(
+        ge=-5e4, le=5e4, description="expected Doppler of the reflection, Hz (level-1 sp_ddmi_dopp)"
+    )
+    search_hz: float = Field(1000.0, ge=0, le=5000, description="half width of the Doppler search, Hz")
+    milliseconds: int = Field(1000, ge=1, le=60_000, description="incoherent sum, ms")
+    noise_temperature_k: float = Field(
+        550.0, gt=0, description="system noise temperature, K: turns noise units into watts, for want of calibration"
+    )
+    look: dict[str, float] = Field(
+        default_factory=dict,
+        description="geometry of the look where known: latitude_deg, longitude_deg, incidence_deg, rx_gain_dbi, "
+        "rx_range_m, tx_range_m, eirp_w",
+    )
+
+
+class ComputeDdmOutputs(ProcessOutputs):
+    ddm: ArtifactRef
+    report: ArtifactRef
+    peak_to_mean: float = Field(description="acquisition peak over the mean of the search")

@@ -1,0 +1,256 @@
+"""The processes of the retrieval service. Heavy imports wait for the worker."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from services.retrieval import process_models as models
+from shared.process import ArtifactRef, JobContext, Process
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+
+    from services.retrieval.features import Observations
+
+MODEL_PATH = Path(__file__).parent / "models" / "burned_area.ubj"
+
+
+def simulate_observations(
+    inputs: models.SimulateObservationsInputs, context: JobContext
+) -> models.SimulateObservationsOutputs:
+    """Play the satellites on a simulated surface."""
+    from services.retrieval.simulation import observations
+    from services.retrieval.simulation.surface import read_surface
+
+    context.mark_simulated(share=1.0)
+    points = context.read_table(inputs.specular_points, "SPECULAR_POINTS")
+    surface = read_surface(str(context.path(inputs.surface)))
+    attributes = context.product_attributes()
+    refs: dict[str, ArtifactRef] = {}
+    report: dict[str, Any] = {}
+    if inputs.nominal:
+        context.progress(15, "nominal maps")
+        made = observations.simulate_nominal(points, surface, inputs.seed)
+        made.write(context.new_file("nominal.nc"), attributes)
+        refs["nominal"], report["nominal"] = context.ref("nominal.nc"), made.summary()
+    images = _images(inputs, context) if inputs.raw_if and inputs.images is not None else None
+    if images is not None and len(images):
+        context.progress(60, "raw-IF maps")
+        made = observations.simulate_raw_if(points, images, surface, inputs.seed)
+        made.write(context.new_file("raw_if.nc"), attributes)
+        refs["raw_if"], report["raw_if"] = context.ref("raw_if.nc"), made.summary() | {"images": len(images)}
+    return models.SimulateObservationsOutputs(
+        **refs,
+        report=context.write_json("report.json", report),
+        nominal_count=report.get("nominal", {}).get("maps", 0),
+        raw_if_count=report.get("raw_if", {}).get("maps", 0),
+    )
+
+
+def _images(inputs: models.SimulateObservationsInputs, context: JobContext) -> pd.DataFrame:
+    """The images whose maps are wanted: not lost and, where asked, on the ground in time."""
+    images = context.read_table(inputs.images, "AS_RUN")
+    if inputs.downlinked_by is not None:
+        images = images[images["downlinked_at"] <= inputs.downlinked_by]
+    return images[images["status"] != "lost"]
+
+
+def retrieve_burned_area(
+    inputs: models.RetrieveBurnedAreaInputs, context: JobContext
+) -> models.RetrieveBurnedAreaOutputs:
+    """Burned probability of every usable look."""
+    from services.retrieval import burned_area, products
+
+    seen = _observations(inputs, context)
+    baseline = None if inputs.baseline is None else _plain_table(inputs.baseline, context)
+    context.progress(60, "classifying")
+    model = burned_area.load_model(MODEL_PATH if inputs.model is None else context.path(inputs.model))
+    features = burned_area.feature_table(seen.looks, baseline)
+    table = products.burned_area_table(seen.looks, model.probability(features), model)
+    burned = int(table["burned"].sum())
+    report = products.observation_report(seen) | {
+        "threshold": model.threshold,
+        "with_baseline": int(features["change_db"].notna().sum()),
+        "burned": burned,
+        "looks": len(table),
+    }
+    ref = context.write_table("burned_area.parquet", table, "BURNED_AREA")
+    context.progress(85, "map")
+    products.burned_area_map(table, context.new_file("burned_area.png"), context.product_attributes(), model.threshold)
+    return models.RetrieveBurnedAreaOutputs(
+        burned_area=ref,
+        report=context.write_json("report.json", report),
+        map=context.ref("burned_area.png"),
+        look_count=len(table),
+        burned_count=burned,
+    )
+
+
+def retrieve_soil_moisture(
+    inputs: models.RetrieveSoilMoistureInputs, context: JobContext
+) -> models.RetrieveSoilMoistureOutputs:
+    """Daily soil moisture of 9 km cells."""
+    from services.retrieval import products, soil_moisture
+    from shared.contracts.grids import write_netcdf
+
+    seen = _observations(inputs, context)
+    context.progress(60, "regression")
+    table, counts = soil_moisture.retrieve(seen.looks, _plain_table(inputs.reference, context))
+    ref = context.write_table("soil_moisture.parquet", table, "SOIL_MOISTURE")
+    write_netcdf(context.new_file("soil_moisture.nc"), products.level3_grid(table), context.product_attributes())
+    report = products.observation_report(seen) | counts | {"cell_days": len(table)}
+    return models.RetrieveSoilMoistureOutputs(
+        soil_moisture=ref,
+        grid=context.ref("soil_moisture.nc"),
+        report=context.write_json("report.json", report),
+        cell_count=len(table),
+    )
+
+
+def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext) -> models.TrainBurnedAreaOutputs:
+    """Train on blocks of places, calibrate on others."""
+    from services.retrieval import burned_area, products, training
+
+    seen = _observations(inputs, context)
+    labels = training.read_labels(context.path(inputs.labels))
+    baseline = None if inputs.baseline is None else _plain_table(inputs.baseline, context)
+    context.progress(50, "training")
+    model, report = training.train_on_looks(seen.looks, labels, baseline, inputs.calibration_share)
+    model.save(context.new_file("model.ubj"))
+    document = report | products.observation_report(seen) | {"features": list(burned_area.FEATURES)}
+    return models.TrainBurnedAreaOutputs(
+        model=context.ref("model.ubj"),
+        report=context.write_json("report.json", document),
+        look_count=report["looks"],
+        auc=report["auc"],
+    )
+
+
+def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> models.TrainSoilMoistureOutputs:
+    """Fit the regression of every cell, and keep the pre-fire reflectivities."""
+    from services.retrieval import baseline, products, soil_moisture
+
+    seen = _observations(inputs, context)
+    context.progress(60, "regression")
+    truth = _plain_table(inputs.soil_moisture, context)
+    reference = soil_moisture.train_reference(seen.looks, truth)
+    slope = float(reference["incidence_slope_db_per_deg"].iloc[0])
+    pairs = soil_moisture.match(seen.looks, truth, slope)
+    report = products.observation_report(seen) | {
+        "cells": len(reference),
+        "cell_days": len(pairs),
+        "leave_a_day_out": soil_moisture.skill_report(pairs),
+        "median_slope_m3_m3_db": float(reference["slope"].median()),
+    }
+    for name, table in (("reference", reference), ("baseline", baseline.build_baseline(seen.looks))):
+        table.to_parquet(context.new_file(f"{name}.parquet"), index=False, compression="zstd")
+    return models.TrainSoilMoistureOutputs(
+        reference=context.ref("reference.parquet"),
+        baseline=context.ref("baseline.parquet"),
+        report=context.write_json("report.json", report),
+        cell_count=len(reference),
+    )
+
+
+def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.ComputeDdmOutputs:
+    """Acquire the reflection and write its 69 x 111 map as a level-1 file of one sample."""
+    from services.retrieval import acquisition, ddm_product
+    from services.retrieval.raw_if import read_recording
+
+    recording = read_recording(context.path(inputs.recording))
+    context.progress(10, "acquisition")
+    search = inputs.doppler_hz, inputs.milliseconds, inputs.search_hz
+    found = acquisition.delay_doppler_map(recording, inputs.prn, inputs.channel, *search)
+    path, attributes = context.new_file("ddm.nc"), context.product_attributes()
+    known = inputs.look, inputs.noise_temperature_k
+    ddm_product.write_ddm(path, found, recording.header, inputs.prn, *known, attributes)
+    return models.ComputeDdmOutputs(
+        ddm=context.ref("ddm.nc"),
+        report=context.write_json("report.json", ddm_product.report(found, recording)),
+        peak_to_mean=found.acquired.peak_to_mean,
+    )
+
+
+def _observations(inputs: models.ObservedInputs, context: JobContext) -> Observations:
+    """All usable looks of the input files within the input's times; marks the step simulated where a file is."""
+    from services.retrieval.features import read_observations
+    from services.retrieval.level1 import is_simulated
+
+    paths = [context.path(reference) for reference in inputs.observations]
+    if not context.product.simulated and any(is_simulated(path) for path in paths):
+        context.mark_simulated(share=sum(map(is_simulated, paths)) / len(paths))
+    context.progress(10, "reading level-1 maps")
+    return read_observations(paths, time_from=_naive(inputs.time_from), time_to=_naive(inputs.time_to))
+
+
+def _naive(time: Any) -> np.datetime64 | None:
+    import pandas as pd
+
+    return None if time is None else pd.Timestamp(time).tz_convert("UTC").tz_localize(None).to_datetime64()
+
+
+def _plain_table(reference: ArtifactRef, context: JobContext) -> pd.DataFrame:
+    """A Parquet table that is no contract between services; its reader checks the columns it needs."""
+    import pandas as pd
+    import pyarrow as pa
+
+    from shared.errors import DomainError
+
+    try:
+        return pd.read_parquet(context.path(reference))
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DomainError(f"'{reference.name}' is no Parquet table: {error}", field=reference.name) from error
+
+
+def _process(run: Any, identifier: str, title: str, description: str, model_version: str = "") -> Process:
+    """A declaration whose models are named after the process: simulate-observations, SimulateObservationsInputs."""
+    stem = "".join(word.capitalize() for word in identifier.split("-"))
+    shapes = getattr(models, f"{stem}Inputs"), getattr(models, f"{stem}Outputs")
+    return Process(identifier, title, description, *shapes, run, model_version=model_version)
+
+
+PROCESSES = [
+    _process(
+        simulate_observations,
+        "simulate-observations",
+        "Simulate observations",
+        "The satellites' stand-in: delay-Doppler maps of a simulated surface (ambiguity function, coherent and diffuse "
+        "scattering, Mironov soil, vegetation, noise, speckle) in level-1 shape. Everything it writes is simulated.",
+    ),
+    _process(
+        retrieve_burned_area,
+        "retrieve-burned-area",
+        "Retrieve burned area",
+        "Burned probability of every land look: reflectivity, shape, texture and change against the place's pre-fire "
+        "baseline, by a calibrated XGBoost model.",
+        model_version=hashlib.sha256(MODEL_PATH.read_bytes()).hexdigest()[:12],
+    ),
+    _process(
+        retrieve_soil_moisture,
+        "retrieve-soil-moisture",
+        "Retrieve soil moisture",
+        "Daily soil moisture on EASE-Grid 2.0 (9 km) by per-cell regression on reflectivity (UCAR/CU form).",
+    ),
+    _process(
+        train_burned_area,
+        "train-burned-area",
+        "Train the burned-area model",
+        "XGBoost on labelled looks, split by blocks of places, with calibrated probability; the model as UBJ.",
+    ),
+    _process(
+        train_soil_moisture,
+        "train-soil-moisture",
+        "Train soil moisture and the pre-fire baseline",
+        "Per-cell regression of soil moisture on reflectivity with partially pooled slopes, its skill beside the cell "
+        "mean, and the reflectivity baseline that burned area is judged against.",
+    ),
+    _process(
+        compute_ddm,
+        "compute-ddm",
+        "Compute a delay-Doppler map",
+        "Raw-IF recording to a 69 x 111 map: FFT acquisition against the C/A code, milliseconds summed incoherently.",
+    ),
+]
