@@ -131,7 +131,7 @@ def _unburned_share(frame: pd.DataFrame, situation: Situation, lattice: Lattice)
         burned = table[table["burned"] & (table["time"] <= situation.time)]
         points = burned.geometry.representative_point()
         age_h = (situation.time - burned["time"]).dt.total_seconds().to_numpy() / 3600
-        loss = burned["burned_probability"].to_numpy() * np.where(age_h >= LONG_BURNED_H, 0.95, 0.5)
+        loss = burned["burned_probability"].to_numpy() * np.where(age_h >= LONG_BURNED_H, 1.0, 0.5)
         reach_km = np.maximum(burned["along_m"].to_numpy() / 2000, lattice.spacing_km / 2)
         for x, y, lost, reach in zip(points.x, points.y, loss, reach_km, strict=True):
             east = (frame["longitude_deg"].to_numpy() - x) * np.cos(np.radians(y))

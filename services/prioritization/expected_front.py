@@ -133,6 +133,17 @@ def _geographic(arrival: xr.Dataset, x_m: Array, y_m: Array) -> tuple[Array, Arr
     return np.asarray(longitude), np.asarray(latitude)
 
 
+def distance_km(longitude_deg: Array, latitude_deg: Array, geometry: BaseGeometry) -> Array:
+    """Distance of places from a geometry, 0 inside it; flat-Earth at the geometry's latitude, good to some 100 km."""
+    import shapely
+    from shapely.affinity import scale
+
+    shrink = float(np.cos(np.radians(geometry.representative_point().y)))
+    flat = scale(geometry, xfact=shrink, yfact=1.0, origin=(0, 0))
+    distance: Array = shapely.distance(shapely.points(longitude_deg * shrink, latitude_deg), flat)
+    return KM_PER_DEGREE * distance
+
+
 def front_of_detections(
     detections: pd.DataFrame, geometry: BaseGeometry, time: pd.Timestamp, lattice: Lattice
 ) -> Places:
@@ -141,9 +152,7 @@ def front_of_detections(
     age_h = (time - known["time"]).dt.total_seconds().to_numpy() / 3600
     recent = (age_h >= 0) & (age_h <= DETECTION_MEMORY_H)
     known, age_h = known[recent], age_h[recent]
-    centre = geometry.representative_point()
-    reach_deg = DETECTION_REACH_KM / KM_PER_DEGREE
-    near = known.geometry.distance(geometry).to_numpy() <= reach_deg / max(np.cos(np.radians(centre.y)), 0.2)
+    near = distance_km(known.geometry.x.to_numpy(), known.geometry.y.to_numpy(), geometry) <= DETECTION_REACH_KM
     points = known.geometry[near]
     places = Places(
         points.x.to_numpy(),

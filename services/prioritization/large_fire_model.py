@@ -108,20 +108,25 @@ class LargeFireModel:
 
 def load(path: Path) -> LargeFireModel:
     """Read a model written by ``LargeFireModel.save``; DomainError if the file is none."""
+    content = path.read_bytes()
+    refused = DomainError("The model is not an XGBoost UBJ file.", field="model", accepted=".ubj")
+    # XGBoost aborts the whole process on bytes that are no UBJ object, so look at both ends first.
+    if not (content.startswith(b"{L") and content.endswith(b"}")):
+        raise refused
     booster = xgb.Booster(params={"nthread": 2})
     try:
-        booster.load_model(bytearray(path.read_bytes()))
+        booster.load_model(bytearray(content))
         text = booster.attr("calibration")
-    except (xgb.core.XGBoostError, OSError) as error:
-        raise DomainError("The model is not an XGBoost UBJ file.", field="model", accepted=".ubj") from error
+    except xgb.core.XGBoostError as error:
+        raise refused from error
     if not text:
         raise DomainError(
             "The model carries no calibration: make it with train-large-fire-model.", field="model", accepted=".ubj"
         )
-    content = json.loads(text)
-    content["start"] = tuple(content["start"])
-    content["resampled"] = [tuple(pair) for pair in content["resampled"]]
-    return LargeFireModel(booster, Calibration(**content))
+    stated = json.loads(text)
+    stated["start"] = tuple(stated["start"])
+    stated["resampled"] = [tuple(pair) for pair in stated["resampled"]]
+    return LargeFireModel(booster, Calibration(**stated))
 
 
 def shipped_path() -> Path:

@@ -18,7 +18,9 @@ class RateActiveFiresInputs(ProcessInputs):
     incidents: ArtifactRef = Field(description="incidents table")
     weather: ArtifactRef = Field(description="hourly weather: grid (netCDF) or weather table (Parquet)")
     time: AwareDatetime = Field(description="cut-off; the 24 h after it are rated, nothing issued later is used")
-    fuels: ArtifactRef | None = Field(None, description="fuels grid with kbdi in mm; without it KBDI is imputed")
+    fuels: ArtifactRef | None = Field(
+        None, description="fuels grid with kbdi in mm (and annual_rain_mm); else KBDI is imputed"
+    )
     fuel_moisture: ArtifactRef | None = Field(None, description="forecast-fuel-moisture grid; else 1.28 x equilibrium")
     model: ArtifactRef | None = Field(None, description="model of train-large-fire-model; else the shipped one")
 
@@ -40,7 +42,7 @@ def rate_active_fires(inputs: RateActiveFiresInputs, context: JobContext) -> Rat
     context.progress(30, "weather read")
     model_path = context.path(inputs.model) if inputs.model else large_fire_model.shipped_path()
     model = large_fire_model.load(model_path)
-    drought = sources.drought_at(context.path(inputs.fuels) if inputs.fuels else None)
+    drought = sources.drought_at(context.path(inputs.fuels) if inputs.fuels else None, series_at, time)
     moisture = sources.fuel_moisture_at(context.path(inputs.fuel_moisture) if inputs.fuel_moisture else None)
     conditions = rating.burning_conditions(known, series_at, time, drought, moisture, model.calibration.median)
     ratings = rating.rate(known, conditions, model, time)

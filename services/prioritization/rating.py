@@ -14,6 +14,7 @@ from services.prioritization.large_fire_model import LargeFireModel
 from shared.errors import DomainError
 
 RATED_HOURS = 24
+WHOLE_DAY_H = 18
 SeriesAt = Callable[[float, float], pd.DataFrame]
 """Hourly weather (time index, contract's columns) at (longitude_deg, latitude_deg); no rows where none is known."""
 
@@ -50,6 +51,23 @@ def burning_conditions(
         imputed.append(gaps)
     columns = [*features.PRIMITIVES, "dead_fuel_moisture_10h_pct"]
     return Conditions(pd.DataFrame(rows, columns=columns, dtype=np.float64), imputed)
+
+
+def carried_drought(
+    kbdi_mm: float, annual_rain_mm: float, series: pd.DataFrame, since: pd.Timestamp, time: pd.Timestamp
+) -> float:
+    """KBDI (mm) at ``time`` from that at ``since``, over the whole days between for which hourly weather is there."""
+    past = series[(series.index > since) & (series.index <= time)].dropna(subset=["temperature_c", "rain_mm"])
+    day = ((past.index - since) / pd.Timedelta(days=1)).to_numpy()
+    past = past.assign(day=np.ceil(day - 1e-9).astype(int))
+    daily = past.groupby("day").agg(
+        rain=("rain_mm", "sum"), hottest=("temperature_c", "max"), hours=("rain_mm", "size")
+    )
+    daily = daily[daily["hours"] >= WHOLE_DAY_H]
+    if daily.empty or np.isnan(kbdi_mm) or np.isnan(annual_rain_mm):
+        return kbdi_mm
+    values, _ = indices.kbdi(daily["rain"].to_numpy(), daily["hottest"].to_numpy(), annual_rain_mm, kbdi_mm)
+    return float(values.ravel()[-1])
 
 
 def _worst_hour(series: pd.DataFrame, time: pd.Timestamp, kbdi_mm: float) -> dict[str, float | pd.Timestamp]:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from services.prioritization import features, weather
+from services.prioritization import features, rating, weather
 from services.prioritization.indices import KBDI_MAX_MM
 from services.prioritization.rating import SeriesAt
 from shared.contracts import grids, schema, tables
@@ -61,13 +61,18 @@ def weather_series(path: Path, time: pd.Timestamp) -> tuple[SeriesAt, dict[str, 
     return lambda longitude, latitude: weather.series_at_stations(known, longitude, latitude, STATION_REACH_KM), flagged
 
 
-def drought_at(path: Path | None) -> Callable[[float, float], float]:
-    """KBDI in mm at a place from the fuels grid; NaN (to be imputed) without one, off it, or where it is missing."""
+def drought_at(path: Path | None, series_at: SeriesAt, time: pd.Timestamp) -> Callable[[float, float], float]:
+    """KBDI in mm at a place and ``time``; NaN (to be imputed) without a fuels grid, off it, or where it is missing.
+
+    The grid's value is that of its ``state_time``; from there whole days of weather up to ``time`` carry it on, where
+    the grid states ``annual_rain_mm`` too.
+    """
     if path is None:
         return lambda longitude, latitude: float("nan")
     dataset = grids.read_netcdf(path)
     if "kbdi" not in dataset.variables:
         return lambda longitude, latitude: float("nan")
+    state_time = pd.to_datetime(str(dataset.attrs.get("state_time", "")), utc=True, errors="coerce")
     values = dataset["kbdi"].transpose("latitude", "longitude")
     worst = float(values.max())
     if worst > KBDI_MAX_MM or float(values.min()) < 0:
@@ -77,7 +82,15 @@ def drought_at(path: Path | None) -> Callable[[float, float], float]:
             value=worst,
             accepted=f"0..{KBDI_MAX_MM} mm",
         )
-    return lambda longitude, latitude: _nearest(values, longitude, latitude)
+    if pd.isna(state_time) or "annual_rain_mm" not in dataset.variables:
+        return lambda longitude, latitude: _nearest(values, longitude, latitude)
+    annual = dataset["annual_rain_mm"].transpose("latitude", "longitude")
+
+    def at(longitude: float, latitude: float) -> float:
+        start, rain = _nearest(values, longitude, latitude), _nearest(annual, longitude, latitude)
+        return rating.carried_drought(start, rain, series_at(longitude, latitude), state_time, time)
+
+    return at
 
 
 def fuel_moisture_at(path: Path | None) -> Callable[[float, float, pd.Timestamp], float]:

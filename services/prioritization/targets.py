@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import geopandas
+import numpy as np
 import pandas as pd
 import xarray as xr
 
 from services.prioritization import reward
 from services.prioritization.active_targets import Situation, active_targets
+from services.prioritization.expected_front import DETECTION_MEMORY_H, DETECTION_REACH_KM, distance_km
 from services.prioritization.lattice import Lattice
 from services.prioritization.prefire_targets import prefire_targets
 from shared.errors import DomainError
@@ -68,6 +70,7 @@ def build(
     frame = geopandas.GeoDataFrame(
         table.drop(columns=["longitude_deg", "latitude_deg"]), geometry=points, crs="EPSG:4326"
     )
+    unclaimed = _unclaimed_detections(situation)
     late = situation.incidents[situation.incidents["known_at"] > situation.time]
     report = {
         "time": situation.time.isoformat(),
@@ -79,6 +82,22 @@ def build(
         "staleness": {"floor": reward.STALENESS_FLOOR, "hours": reward.STALENESS_H},
         "fires": fires,
         "prefire": prefire_report,
+        "recent_detections_far_from_incidents": unclaimed,
+        "arrival_maps_without_incident": sorted(set(situation.arrival_maps) - set(situation.incidents["incident_id"])),
         "incidents_not_yet_known": sorted(late["incident_id"]),
     }
     return frame, report
+
+
+def _unclaimed_detections(situation: Situation) -> int:
+    """Fire detections of the last 48 h that no incident claims: unreported fires or noise, for the operator to see."""
+    detections = situation.detections
+    if detections is None:
+        return 0
+    recent = detections[detections["fire"] & (detections["delivered_at"] <= situation.time)]
+    recent = recent[recent["time"] >= situation.time - pd.Timedelta(hours=DETECTION_MEMORY_H)]
+    far = np.ones(len(recent), dtype=bool)
+    for geometry in situation.incidents.loc[situation.incidents["known_at"] <= situation.time].geometry:
+        places = (recent.geometry.x.to_numpy(), recent.geometry.y.to_numpy())
+        far &= distance_km(*places, geometry) > DETECTION_REACH_KM
+    return int(far.sum())

@@ -1,4 +1,4 @@
-"""FPI and WFPI: limits, neutrality, masks; what soil moisture and scars change, and that nothing changes without them."""
+"""FPI and WFPI: limits, neutrality, masks; what soil moisture and scars change, and nothing without them."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_ease_grid_cells_agree_with_their_definition():
     row, column = observed_land.ease_cells(np.array([-179.999, 0.01]), np.array([85.0, -0.01]))
     assert (row[0], column[0]) == (0, 0)
     assert (row[1], column[1]) == (812, 1928)  # 1624 x 3856 cells: the equator and Greenwich split them evenly
-    x, y = Transformer.from_crs(4326, 6933, always_xy=True).transform(-107.3, 33.3)
+    x, _ = Transformer.from_crs(4326, 6933, always_xy=True).transform(-107.3, 33.3)
     assert observed_land.ease_cells(np.array([-107.3]), np.array([33.3]), 36)[1] == int((x + 17367530.445) // 36032.22)
 
 

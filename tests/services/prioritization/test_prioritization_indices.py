@@ -43,7 +43,7 @@ def test_canadian_indices_resume_from_yesterday():
 
 
 def _ffmc(previous, t, h, wind_km_h, rain, constant):
-    """Fine fuel moisture code of Van Wagner & Pickett (1985), equations 1-10, with a choice of equation 1's constant."""
+    """Fine fuel moisture code of Van Wagner & Pickett (1985), with a choice of equation 1's constant."""
     m = constant * (101 - previous) / (59.5 + previous)
     if rain > 0.5:
         r = rain - 0.5
@@ -77,6 +77,32 @@ def test_canadian_series_agree_with_cffdrs(real_data):
     np.testing.assert_allclose(old[1:], reference["ffmc"], atol=1e-6)
     np.testing.assert_allclose(ours.ffmc.ravel(), new[1:], atol=1e-3)
     assert np.abs(ours.fwi.ravel() - reference["fwi"]).max() < 0.25  # what the constant is worth
+
+
+def test_canadian_series_agree_with_gfwed(real_data):
+    """Four sites, the longest unbroken season of each, from its first day's codes; GFWED has 147.2 and float32."""
+    tolerance = {"ffmc": 0.25, "dmc": 0.25, "dc": 0.5, "bui": 0.35, "fwi": 1.5}
+    with xr.open_dataset(real_data / "fwi" / "GFWED_sample_2017.nc") as data:
+        for site in range(data.sizes["loc"]):
+            day = data.isel(loc=site).load()
+            valid = np.flatnonzero(np.isfinite(day["FFMC"].values))
+            run = max(np.split(valid, np.flatnonzero(np.diff(valid) > 1) + 1), key=len)
+            first, rest = run[0], run[1:]
+            season = day.isel(time=rest)
+            result = indices._fire_library().cffwis(
+                season["tas"].values.astype(float),
+                season["rh"].values.astype(float),
+                season["sfcwind"].values.astype(float) / 3.6,
+                season["prbc"].values.astype(float),
+                float(day["lat"]),
+                season["time"].dt.month.values,
+                initial_ffmc=float(day["FFMC"][first]),
+                initial_dmc=float(day["DMC"][first]),
+                initial_dc=float(day["DC"][first]),
+            )
+            for name, allowed in tolerance.items():
+                error = np.abs(getattr(result, name).ravel() - season[name.upper()].values)
+                assert error.max() < allowed, (str(day["loc"].values), name)
 
 
 def test_overwintering_wets_the_drought_code():

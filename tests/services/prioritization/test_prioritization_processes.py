@@ -24,9 +24,9 @@ def danger(room, make, time):
 
 
 def test_parent_stays_light():
-    code = "import sys, services.prioritization.processes; print([m for m in ('numpy','pandas','xgboost') if m in sys.modules])"
+    code = "import sys, services.prioritization.processes as p; print({'numpy', 'pandas'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"
+    assert result.stdout.strip() == "set()"
 
 
 def test_rate_active_fires(room, make, time):
