@@ -2,9 +2,10 @@
 
 FPI after Burgan, Klaver & Klaver (1998) and its revision of 2000 (live ratio from maximum NDVI); a scale of 0-100. WFPI
 adds wind, temperature and rain. The USGS has published no equation for those three, so this one is ours: each is a
-factor that is 1 under neutral weather, and then WFPI is FPI. Wind and temperature take the sensitivities of McArthur's
-index (Noble et al. 1980: 0.0234 per km/h, 0.0338 per degC; humidity is in FPI already), neutral at 15 km/h and 25 degC.
-Rain of the day beyond 0.5 mm (the CFFWI's interception) lowers it by e per 10 mm. Values may exceed 100, up to 247.
+factor that is 1 under neutral weather, and then WFPI is FPI. Wind and temperature enter as the square root of their
+factors in McArthur's index (Noble et al. 1980: 0.0234 per km/h, 0.0338 per degC; that index runs over two decades where
+FPI runs over one, and humidity is in FPI already), neutral at 15 km/h and 25 degC. Rain of the day beyond 0.5 mm (the
+CFFWI's interception) lowers it by e per 10 mm. Values may exceed 100, up to 247.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ LARGEST_VALUE = 247.0
 class WeatherTerms:
     """The three weather factors of WFPI; at the neutral values each is 1."""
 
-    wind_per_m_s: float = 0.0234 * 3.6
+    wind_per_m_s: float = 0.5 * 0.0234 * 3.6
     neutral_wind_m_s: float = 15 / 3.6
-    temperature_per_c: float = 0.0338
+    temperature_per_c: float = 0.5 * 0.0338
     neutral_temperature_c: float = 25.0
     rain_threshold_mm: float = 0.5
     rain_scale_mm: float = 10.0
