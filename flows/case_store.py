@@ -9,7 +9,7 @@ from datetime import timedelta
 from flows.cases.bundle import CASE_FILE, Case
 from flows.loop import CaseInputs
 from flows.runner import Runner
-from flows.steps import IMPORT_CASE
+from flows.steps import IMPORT_CASE, SURVEY_TARGET
 
 BUNDLE = "bundle"
 CALIBRATION = "calibration"
@@ -41,6 +41,7 @@ def calibrate(runner: Runner, case: CaseInputs, days: int, step_s: int, seed: in
         "predict-access",
         {
             **{name: case.inputs[name] for name in ("receivers", "transmitters", "stations")},
+            "targets": runner.local(SURVEY_TARGET, {"region": list(case.region)})["targets"],
             "start": start.isoformat(),
             "duration_s": days * 86400,
             "step_s": step_s,

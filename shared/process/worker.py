@@ -37,8 +37,14 @@ def worker_main(connection: Connection, service: str, module: str, roots: dict[s
 
 
 def load_processes(module: str) -> dict[str, Process]:
-    """The processes that a module declares in its list ``PROCESSES``, by id."""
-    return {process.id: process for process in importlib.import_module(module).PROCESSES}
+    """The processes that a module declares in its list ``PROCESSES``, by id.
+
+    The modules named in its ``WARM_MODULES`` are imported as well, so that the first job does not pay for them.
+    """
+    declared = importlib.import_module(module)
+    for name in getattr(declared, "WARM_MODULES", ()):
+        importlib.import_module(name)
+    return {process.id: process for process in declared.PROCESSES}
 
 
 def _run(
