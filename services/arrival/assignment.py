@@ -12,6 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from shapely import contains_xy, get_coordinates
 
+from services.arrival.looks import positions
+
 EARTH_KM = 6371.0088
 LINK_KM = 3.0
 REACH_KM = 10.0
@@ -52,17 +54,19 @@ def assign(detections: gpd.GeoDataFrame, incidents: gpd.GeoDataFrame, reach_km: 
     """Fire detections of each incident, at most `EARLY_DAYS` before its reported start.
 
     A cluster goes to the incident whose geometry comes nearest, if within `reach_km`. A cluster that reaches several
-    incidents (fires that merged) is divided: each detection goes to the nearest of them.
+    incidents (fires that merged) is divided: each detection goes to the nearest of them. Raises DomainError at a NaN
+    position.
     """
     rows = np.flatnonzero(detections["fire"].to_numpy(bool))
     ids = incidents["incident_id"].astype(str).to_list()
     empty = {incident: np.zeros(0, np.int64) for incident in ids}
-    if rows.size == 0:
+    lon, lat = positions(detections, "detections")
+    if rows.size == 0 or not ids:
         return Assignment(empty, rows)
+    lon, lat = lon[rows], lat[rows]
     chosen = detections.iloc[rows]
-    points = unit_vectors(chosen.geometry.x.to_numpy(float), chosen.geometry.y.to_numpy(float))
+    points = unit_vectors(lon, lat)
     outline, owner = _incident_points(incidents)
-    lon, lat = chosen.geometry.x.to_numpy(float), chosen.geometry.y.to_numpy(float)
     columns = []
     for k, geometry in enumerate(incidents.geometry):
         distance, _ = cKDTree(outline[owner == k]).query(points)

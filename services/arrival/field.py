@@ -38,7 +38,7 @@ class FieldSettings:
     detection_weight: float = 0.5
     ignition_sd_h: float = 3.0
     clock: bool = True
-    residence_h: float = 5.0
+    residence_h: float = 5.5
 
 
 @dataclass(frozen=True)

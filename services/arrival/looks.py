@@ -71,7 +71,8 @@ def _source_codes(instrument: pd.Series) -> NDArray[np.int8]:
     return codes.astype(np.int8)
 
 
-def _positions(frame: gpd.GeoDataFrame, name: str) -> tuple[Floats, Floats]:
+def positions(frame: gpd.GeoDataFrame, name: str) -> tuple[Floats, Floats]:
+    """Longitude and latitude in degrees (n,) of a point table. Raises DomainError naming the first row without both."""
     lon, lat = frame.geometry.x.to_numpy(float), frame.geometry.y.to_numpy(float)
     bad = ~(np.isfinite(lon) & np.isfinite(lat))
     if bad.any():
@@ -91,7 +92,7 @@ def _hours(times: pd.Series, reference: pd.Timestamp) -> Floats:
 def looks_from_detections(detections: gpd.GeoDataFrame, grid: FireGrid, reference: pd.Timestamp) -> Looks:
     """Detections contract rows as looks on a grid; missing footprints count as 1 km. Raises DomainError at a NaN
     position."""
-    lon, lat = _positions(detections, "detections")
+    lon, lat = positions(detections, "detections")
     x, y = grid.local_km(lon, lat)
     fire = detections["fire"].to_numpy(bool)
     along = detections["along_m"].fillna(DEFAULT_FOOTPRINT_M).to_numpy(float)
@@ -111,7 +112,7 @@ def looks_from_detections(detections: gpd.GeoDataFrame, grid: FireGrid, referenc
 def looks_from_burned_area(points: gpd.GeoDataFrame, grid: FireGrid, reference: pd.Timestamp) -> Looks:
     """Burned-area contract rows as looks on a grid. Raises DomainError at a NaN position or probability outside
     0..1."""
-    lon, lat = _positions(points, "burned_area")
+    lon, lat = positions(points, "burned_area")
     probability = points["burned_probability"].to_numpy(float)
     if not ((probability >= 0) & (probability <= 1)).all():
         raise DomainError(

@@ -3,9 +3,11 @@
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pytest
 from shapely.geometry import Point, Polygon
 
 from services.arrival.assignment import assign
+from shared.errors import DomainError
 
 T0 = pd.Timestamp("2022-06-01T00:00Z")
 
@@ -57,3 +59,14 @@ def test_an_older_fire_at_the_same_place_is_not_taken() -> None:
 def test_an_incident_at_the_antimeridian_takes_both_sides() -> None:
     found = assign(_detections([179.99, -179.99], [66.0, 66.0], [3, 4]), _incidents([Point(180.0, 66.0)]))
     assert found.fire["fire-0"].size == 2
+
+
+def test_without_incidents_every_detection_is_unassigned() -> None:
+    found = assign(_detections([10.0], [10.0], [3]), _incidents([Point(0, 0)]).iloc[:0])
+    assert found.fire == {} and found.unassigned.tolist() == [0]
+
+
+def test_a_position_that_is_no_position_is_named() -> None:
+    with pytest.raises(DomainError) as caught:
+        assign(_detections([10.0, float("nan")], [10.0, 10.0], [3, 4]), _incidents([Point(10, 10)]))
+    assert caught.value.field == "detections.geometry" and "row 1" in str(caught.value)

@@ -193,3 +193,15 @@ def test_parameters_are_checked_before_anything_runs(tmp_path: Path, name: str, 
     with pytest.raises(ValidationError) as caught:
         _run(tmp_path, **{name: value})
     assert caught.value.errors()[0]["loc"] == (name,)
+
+
+def test_no_detection_row_and_no_incident_are_answered(tmp_path: Path) -> None:
+    empty = _together("detections").iloc[:0]
+    outline = FIRES[0].incidents.set_geometry([FIRES[0].incidents.geometry.iloc[0].buffer(0.02)], crs=4326)
+    nothing_seen = _run(
+        tmp_path / "a", {"detections": empty, "incidents": outline, "burned_area": FIRES[1].burned_area}
+    )
+    product = read_netcdf(_file(nothing_seen["fire_arrival"][0]), FIRE_ARRIVAL, decode_times=False)
+    assert (product["information"] == 0).all() and "no-detection" in product.attrs["flags"]
+    nobody = _run(tmp_path / "b", {"incidents": outline.iloc[:0]})
+    assert nobody["incident_count"] == 0 and nobody["fire_arrival"] == []
