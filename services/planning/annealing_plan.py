@@ -9,15 +9,17 @@ import numpy as np
 
 from services.planning.coverage import Coverage
 from services.planning.data_cycles import Chunks
-from services.planning.local_search import REQUIRED_BONUS, anneal, construct, search_space
+from services.planning.local_search import REQUIRED_BONUS, SearchSpace, anneal, construct, search_space
 from services.planning.milp import DataCycleModel
-from services.planning.problem import IntArray, PlanningProblem
+from services.planning.problem import BoolArray, IntArray, PlanningProblem
 from services.planning.solving import Solution
 
 REDUCED_COST_SPAN = 0.3
 """Images whose reduced cost lies further below zero, in mean group values, are left out of the search."""
 HOT, COLD = 0.8, 0.04
 """Annealing temperatures in mean group values."""
+PASSES = (0.1, 0.9)
+"""Shares of the moves: a short cooling first, so that a guard that cuts the long one still leaves a good plan."""
 
 
 def allot_downlinks(problem: PlanningProblem, chunks: Chunks, links: np.ndarray, spare: bool) -> IntArray:
@@ -88,11 +90,25 @@ def search_plan(
     start = construct(space, ranking)
     if seed is not None and not _meets(space, start):
         start = construct(space, ranking, seed=np.isin(smaller.image[order], seed))
-    result = anneal(space, start, moves, HOT * scale, COLD * scale, stop=stop)
-    return np.sort(smaller.image[order][result.chosen]), result.time_limited
+    done, best, cut = 0, start, False
+    for share in PASSES:
+        part, before = int(moves * share), done
+        result = anneal(space, start, part, HOT * scale, COLD * scale, stop=lambda n, v, b=before: stop(b + n, v))
+        best = max(best, result.chosen, key=lambda chosen: _value(space, chosen))
+        done, cut = done + part, result.time_limited
+        if cut:
+            break
+    return np.sort(smaller.image[order][best]), cut
 
 
-def _meets(space, chosen) -> bool:  # type: ignore[no-untyped-def]
+def _value(space: SearchSpace, chosen: BoolArray) -> float:
+    covered = np.zeros(len(space.value), bool)
+    covered[space.group[np.repeat(chosen, np.diff(space.start))]] = True
+    return float(space.value[covered].sum())
+
+
+def _meets(space: SearchSpace, chosen: BoolArray) -> bool:
+    """Whether every mandatory group is covered."""
     covered = np.zeros(len(space.value), bool)
     covered[space.group[np.repeat(chosen, np.diff(space.start))]] = True
     return bool(covered[space.value >= REQUIRED_BONUS].all())

@@ -218,7 +218,8 @@ def _images(
             value=str(table["time"].iloc[first]), accepted="whole seconds from horizon_start",
         )  # fmt: skip
     rows = pd.DataFrame({
-        "image": table["image_id"].to_numpy(np.int64), "satellite": table["satellite"].astype(str).map(index).to_numpy(),
+        "image": table["image_id"].to_numpy(np.int64),
+        "satellite": table["satellite"].astype(str).map(index).to_numpy(np.int64),
         "second": second.astype(np.int64), "target": order[place] if len(place) else place,
     }).drop_duplicates(["image", "target"]).sort_values(["satellite", "second", "image", "target"])  # fmt: skip
     heads = rows.drop_duplicates(["image", "satellite", "second"])

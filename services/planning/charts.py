@@ -15,8 +15,8 @@ from services.planning.downlinks import Timeline
 from services.planning.problem import PlanningProblem
 
 matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402  (the backend comes first)
-from matplotlib.patches import Patch  # noqa: E402
+from matplotlib import pyplot as plt
+from matplotlib.patches import Patch
 
 STATION_COLOURS = ("#1b7837", "#762a83", "#2166ac", "#b35806", "#01665e", "#8c510a")
 COLLECT, CONTACT, ECLIPSE = "#d6301d", "#cfcfcf", "#3b3b3b"
@@ -39,11 +39,17 @@ def write_gantt(path: Path, problem: PlanningProblem, timeline: Timeline, title:
     axes.set_xlim(0, problem.horizon_s / 3600)
     axes.set_xlabel(f"hours from {problem.horizon_start:%Y-%m-%d %H:%M:%S} UTC")
     axes.set_title(title)
-    handles = [Patch(color=COLLECT, label="image"), Patch(color=CONTACT, label="contact"), Patch(color=ECLIPSE, label="umbra")]
+    handles = [
+        Patch(color=COLLECT, label="image"),
+        Patch(color=CONTACT, label="contact"),
+        Patch(color=ECLIPSE, label="umbra"),
+    ]
     for station, name in enumerate(problem.stations):
         colour = STATION_COLOURS[station % len(STATION_COLOURS)]
         handles.append(Patch(color=colour, label=f"downlink {name}"))
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.9 / (1.6 + 0.62 * count)), ncol=7, frameon=False)
+    axes.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.9 / (1.6 + 0.62 * count)), ncol=7, frameon=False
+    )
     figure.text(0.01, 0.01, footer, fontsize=7, color="#555555")
     figure.savefig(path, dpi=110, bbox_inches="tight", metadata={"Software": None})
     plt.close(figure)

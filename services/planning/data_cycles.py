@@ -1,7 +1,7 @@
 """Data cycles: each satellite's horizon cut where its resources change, so that a cycle holds totals, not seconds.
 
-A *cycle* runs from the end of one pass to the end of the next: collect, then downlink (paper, section 4.1). A *chunk* is
-a part of a cycle within which sunlight, visible stations, who else sees them and whether commands are allowed do not
+A *cycle* runs from the end of one pass to the end of the next: collect, then downlink (paper, section 4.1). A *chunk*
+is a part of a cycle within which sunlight, visible stations, who else sees them and whether commands are allowed do not
 change; all seconds of a chunk are alike, so totals per chunk describe it.
 """
 

@@ -40,7 +40,8 @@ def emit_timeline(problem: PlanningProblem, images: IntArray) -> Timeline:
     """An exact timeline for ``images`` that brings data down as early as resources allow.
 
     Totals per chunk come from a small integer program. Where second-by-second simulation finds a rule broken inside a
-    chunk, the chunk is cut there and the program solved again; images that still do not fit are dropped, cheapest first.
+    chunk, the chunk is cut there and the program solved again; images that still do not fit are dropped, cheapest
+    first.
     """
     wanted = np.unique(np.concatenate([images, problem.frozen_images])).astype(np.int64)
     kept = wanted
@@ -75,7 +76,9 @@ def _finer(
     s = broken.satellite
     new = {*cuts, (s, broken.second), (s, broken.second + 1)}
     if broken.rule == "battery":  # draining and charging alternate within a chunk: keep them apart
-        first = chunks.offset[s] + np.searchsorted(chunks.end_s[chunks.offset[s] : chunks.offset[s + 1]], broken.second, "right")
+        first = chunks.offset[s] + np.searchsorted(
+            chunks.end_s[chunks.offset[s] : chunks.offset[s + 1]], broken.second, "right"
+        )
         pieces = range(int(chunks.start_s[first]), int(chunks.end_s[first]), BATTERY_PIECE_S)
         new |= {(s, second) for second in pieces}
     if len(new) == len(cuts):
@@ -134,16 +137,12 @@ def _without_cheapest(problem: PlanningProblem, images: IntArray, broken: Shortf
     pool = near if len(near) else movable
     if not len(pool):
         raise RuntimeError(f"rule {broken.rule} is broken at second {broken.second} without any new image")
-    count = np.bincount(
-        own.target[np.isin(own.image_of_entry(), images)], minlength=len(problem.targets.value)
-    )
+    count = np.bincount(own.target[np.isin(own.image_of_entry(), images)], minlength=len(problem.targets.value))
     losses = [float(problem.targets.value[c[count[c] == 1]].sum()) for c in map(own.covered, pool)]
     return np.setdiff1d(images, pool[int(np.argmin(losses))])
 
 
-def place_seconds(
-    problem: PlanningProblem, chunks: Chunks, images: IntArray, seconds: IntArray
-) -> NDArray[np.int16]:
+def place_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray, seconds: IntArray) -> NDArray[np.int16]:
     """Give each link its seconds: contiguous blocks where nothing interferes, else second by second."""
     downlink = problem.frozen.downlink.copy()
     busy = np.zeros_like(problem.sunlit)

@@ -42,7 +42,9 @@ def previous_commands(problem: PlanningProblem, previous: pd.DataFrame, first_s:
     return _execute(problem, collect, wanted, visible, dropped)
 
 
-def _execute(problem: PlanningProblem, collect: np.ndarray, wanted: np.ndarray, visible: np.ndarray, dropped: int) -> Frozen:
+def _execute(
+    problem: PlanningProblem, collect: np.ndarray, wanted: np.ndarray, visible: np.ndarray, dropped: int
+) -> Frozen:
     taken = np.zeros((visible.shape[1], problem.horizon_s), bool)
     available = _available(problem)
     downlink = np.full_like(wanted, -1)
@@ -93,7 +95,9 @@ def _powered(battery: float, net_w: float, limits: SatelliteLimits) -> bool:
     return battery + net_w / 3600.0 >= limits.battery_min_wh
 
 
-def _frozen(problem: PlanningProblem, kept: list[tuple[int, int, int, int]], downlink: np.ndarray, dropped: int) -> Frozen:
+def _frozen(
+    problem: PlanningProblem, kept: list[tuple[int, int, int, int]], downlink: np.ndarray, dropped: int
+) -> Frozen:
     """Give frozen collects ids that cannot be taken for another image of the new opportunities."""
     table = np.array(kept, np.int64).reshape(-1, 4)
     satellite, second, image, old_id = table.T

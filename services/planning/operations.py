@@ -36,11 +36,25 @@ class MadePlan:
 
 
 def _names(tables: dict[str, pd.DataFrame]) -> list[str]:
-    return sorted(set(tables["opportunities"]["satellite"].astype(str)) | set(tables["contacts"]["satellite"].astype(str)))
+    return sorted(
+        set(tables["opportunities"]["satellite"].astype(str)) | set(tables["contacts"]["satellite"].astype(str))
+    )
 
 
 def _utc(moment: datetime | None) -> pd.Timestamp | None:
     return None if moment is None else pd.Timestamp(moment).tz_convert("UTC")
+
+
+def _forward(progress: Progress) -> Progress:
+    """``progress`` that never runs backwards, since small cases may be solved more than once."""
+    furthest = 0.0
+
+    def report(percent: float, text: str) -> None:
+        nonlocal furthest
+        furthest = max(furthest, percent)
+        progress(furthest, text)
+
+    return report
 
 
 def make_plan(
@@ -55,6 +69,7 @@ def make_plan(
 
     Raises `DomainError` for unusable inputs and `PlanningBugError` where the replay rejects our own plan.
     """
+    progress = _forward(progress)
     start = pd.Timestamp(spacecraft.horizon_start).tz_convert("UTC")
     limits = satellite_limits(spacecraft, _names(tables))
     problem = build_problem(

@@ -95,9 +95,7 @@ def plan(problem: PlanningProblem, options: Options, progress: Progress = lambda
     return best
 
 
-def _plan_once(
-    problem: PlanningProblem, chunks: Chunks, options: Options, clock: Clock, progress: Progress
-) -> Plan:
+def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock: Clock, progress: Progress) -> Plan:
     seen = problem.covered_targets(np.arange(len(problem.images)))
     progress(5, "mandatory targets")
     wanted = problem.targets.active & seen
@@ -108,7 +106,9 @@ def _plan_once(
     required = wanted if mandatory else np.zeros(len(seen), bool)
     coverage = reduce_coverage(problem, chunks, np.arange(len(problem.images)), np.ones(len(seen), bool), required)
     progress(15, "solving")
-    images, bound, method, cut = _solve(problem, chunks, coverage, seed if mandatory else None, options, clock, progress)
+    images, bound, method, cut = _solve(
+        problem, chunks, coverage, seed if mandatory else None, options, clock, progress
+    )
     progress(80, "exact timeline")
     timeline = _emit_full(problem, chunks, images)
     objective = problem.objective(timeline.images)
@@ -172,7 +172,9 @@ def _mandatory_seed(
 def _demand_all(problem: PlanningProblem, seen: BoolArray, possible: bool) -> None:
     missing = problem.targets.target_id[problem.targets.active & ~seen]
     if len(missing) or not possible:
-        what = f"{len(missing)} have no usable opportunity" if len(missing) else "storage, battery or stations forbid it"
+        what = (
+            f"{len(missing)} have no usable opportunity" if len(missing) else "storage, battery or stations forbid it"
+        )
         raise DomainError(
             f"not all active targets can be observed: {what}", field="active_mandatory", value="true",
             accepted="auto or false, which plan the most valuable ones and name the rest",

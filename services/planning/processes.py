@@ -34,7 +34,10 @@ class PlanObservationsInputs(PlanningInputs):
 
     mip_gap: float = Field(0.005, ge=0, le=1, description="relative gap between plan and proven bound to stop at")
     time_limit_s: float = Field(
-        60.0, gt=0, le=7200, description="guard, s; a plan that it cuts is marked time_limited and may not repeat exactly"
+        60.0,
+        gt=0,
+        le=7200,
+        description="guard, s; a plan that it cuts is marked time_limited and may not repeat exactly",
     )
     work_limit: float = Field(
         20.0, gt=0, le=10000, description="counted work for large cases, in millions of search moves: repeats exactly"

@@ -73,8 +73,8 @@ def replay(
 ) -> Verdict:
     """Live through ``schedule`` and report the first breach of each rule.
 
-    ``spacecraft`` maps a satellite to its fields of the spacecraft contract, flattened, with ``unavailable`` as pairs of
-    seconds. Rules: ``interval``, ``command``, ``image``, ``repeat``, ``simultaneous``, ``unavailable``, ``uplink``,
+    ``spacecraft`` maps a satellite to its fields of the spacecraft contract, flattened, with ``unavailable`` as pairs
+    of seconds. Rules: ``interval``, ``command``, ``image``, ``repeat``, ``simultaneous``, ``unavailable``, ``uplink``,
     ``contact``, ``station``, ``storage``, ``empty``, ``battery``.
     """
     log = _Log()
@@ -174,8 +174,7 @@ def _check_images(
     heads = opportunities.drop_duplicates("image_id")
     moments = [_offset(moment, origin) for moment in heads["time"]]
     known = {
-        int(i): (str(s), t)
-        for i, s, t in zip(heads["image_id"], heads["satellite"].astype(str), moments, strict=True)
+        int(i): (str(s), t) for i, s, t in zip(heads["image_id"], heads["satellite"].astype(str), moments, strict=True)
     }
     seen: set[int] = set()
     for row in sorted((r for r in rows if r["command"] == "collect"), key=lambda r: r["begin"]):

@@ -25,7 +25,8 @@ def plan_report(problem: PlanningProblem, plan: Plan, baseline: IntArray) -> dic
         "latency": _latency(problem, plan.timeline), "satellites": _satellites(problem, plan.timeline),
         "active_targets_not_observed": unmet_active(problem, plan.timeline),
         "greedy_baseline": {
-            "objective": greedy, "images": len(baseline), "gap": max(0.0, 1 - greedy / plan.bound) if plan.bound else 0.0,
+            "objective": greedy, "images": len(baseline),
+            "gap": max(0.0, 1 - greedy / plan.bound) if plan.bound else 0.0,
             "targets": _targets(problem, problem.covered_targets(baseline)),
         },
         "previous_plan": {

@@ -66,10 +66,17 @@ def random_case(seed: int, satellites: int = 2, images: int = 7, tight: bool = T
     horizon = 14
     places = rng.permutation(satellites * horizon)[:images]
     shots = [
-        (int(i), names[p // horizon], float(p % horizon), sorted(rng.choice(5, rng.integers(1, 4), replace=False).tolist()))
+        (
+            int(i),
+            names[p // horizon],
+            float(p % horizon),
+            sorted(rng.choice(5, rng.integers(1, 4), replace=False).tolist()),
+        )
         for i, p in enumerate(places)
     ]
-    rewards = {t: ("active" if rng.random() < 0.3 else "prefire", round(float(rng.uniform(0.1, 3)), 2)) for t in range(5)}
+    rewards = {
+        t: ("active" if rng.random() < 0.3 else "prefire", round(float(rng.uniform(0.1, 3)), 2)) for t in range(5)
+    }
     contacts = []
     for name in names:
         for station in ("hawaii", "dongara"):
@@ -113,9 +120,7 @@ def _choices(case: Case, craft: Spacecraft, name: str, state: tuple, second: int
     for s, station, a, b in case.contacts:
         if s == name and a <= second and second + 1 <= b and stored > 0:
             done = progress + 1 == craft.downlink_s_per_image
-            options.append(
-                (0, stored - done, 0 if done else progress + 1, craft.downlink_w, frozenset([station]))
-            )
+            options.append((0, stored - done, 0 if done else progress + 1, craft.downlink_w, frozenset([station])))
     result = []
     for mask, left, part, extra, used in options:
         charge = min(craft.battery_capacity_wh, battery + (base - extra) / 3600.0)

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from tests.services.planning.planning_cases import CRAFT, Case, at
 
 from services.planning.operations import make_plan
 from services.planning.planner import Options
 from services.planning.spacecraft_limits import read_spacecraft
 from shared.errors import DomainError
+from tests.services.planning.planning_cases import CRAFT, Case, at
 
 CASE = Case(
     [(0, "CYGFM01", 1, [1]), (1, "CYGFM01", 2, [2]), (2, "CYGFM01", 3, [3])],

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.services.planning.planning_cases import exhaustive_optimum, random_case
 
 from services.planning.operations import judge, make_plan
 from services.planning.planner import Options
+from tests.services.planning.planning_cases import exhaustive_optimum, random_case
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.services.planning.planning_cases import Case, exhaustive_optimum, random_case
 
 from services.planning.building import build_problem
 from services.planning.coverage import reduce_coverage
@@ -16,6 +15,7 @@ from services.planning.milp import build_model, lagrangian_bound
 from services.planning.problem import PlanningProblem
 from services.planning.solving import branch_and_bound, solve_relaxation
 from services.planning.spacecraft_limits import satellite_limits
+from tests.services.planning.planning_cases import Case, exhaustive_optimum, random_case
 
 
 def problem_of(case: Case) -> PlanningProblem:
@@ -87,6 +87,9 @@ def test_annealing_never_loses_and_repeats_exactly(seed: int) -> None:
 def test_shared_cuts_make_station_cells_equal() -> None:
     problem = problem_of(replace(random_case(3), contacts=[("CYGFM01", "hawaii", 2, 8), ("CYGFM02", "hawaii", 5, 12)]))
     chunks = build_chunks(problem)
-    cells = [sorted(map(int, chunks.start_s[chunks.link_chunk[chunks.link_cell == c]])) for c in range(len(chunks.cell_free_s))]
+    cells = [
+        sorted(map(int, chunks.start_s[chunks.link_chunk[chunks.link_cell == c]]))
+        for c in range(len(chunks.cell_free_s))
+    ]
     assert [5, 5] in cells
     assert all(len(set(starts)) == 1 for starts in cells)

@@ -7,9 +7,9 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from tests.services.planning.planning_cases import Case, at, random_case
 
 from services.planning.operations import judge, make_plan
+from tests.services.planning.planning_cases import Case, at, random_case
 
 CASE = Case(
     images=[(1, "CYGFM01", 1, [10]), (2, "CYGFM01", 2, [11]), (3, "CYGFM01", 3, [12]), (4, "CYGFM02", 2, [10])],

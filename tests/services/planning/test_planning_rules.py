@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from tests.services.planning.planning_cases import Case, at, random_case
 
 from services.planning.operations import judge, make_plan
 from shared.contracts.spacecraft import Spacecraft
+from tests.services.planning.planning_cases import Case, at, random_case
 
 
 def rules_broken(case: Case, blind: Spacecraft, tables: dict[str, Any] | None = None) -> set[str]:
@@ -75,7 +75,7 @@ def test_the_previous_plan_runs_until_the_uplink(seed: int) -> None:
 
 def test_initial_state_and_unavailable_windows_are_honoured() -> None:
     states = {"CYGFM01": {"stored_images_initial": 2, "unavailable": [{"start": at(9), "end": at(10)}]}}
-    case = Case(SHOTS + [(6, "CYGFM01", 12.0, [5])], REWARDS, [("CYGFM01", "hawaii", 6, 12)],
+    case = Case([*SHOTS, (6, "CYGFM01", 12.0, [5])], REWARDS, [("CYGFM01", "hawaii", 6, 12)],
                 craft={"battery_initial_wh": 10.0, "satellites": states})  # fmt: skip
     made = make_plan(case.tables, case.spacecraft)
     collects = made.schedule[made.schedule["command"] == "collect"]
