@@ -52,13 +52,14 @@ def _check(recording: Recording, channel: int, first_ms: int, count: int) -> int
     if not 0 <= channel < recording.header.channels:
         accepted = f"0..{recording.header.channels - 1}"
         raise DomainError("The recording has no such channel.", field="channel", value=channel, accepted=accepted)
-    available = int(recording.duration_s * 1000) - first_ms - 1
+    spare = 4 * len(recording.data) - int(recording.header.sampling_hz * 1e-3)  # samples before the last millisecond
+    available = int(spare // (recording.header.sampling_hz * 1e-3)) + 1 - first_ms
     if available < 1:
         raise DomainError(
             "The recording ends before the first millisecond.",
             field="recording",
             value=f"{recording.duration_s:.4f} s",
-            accepted="2 ms or more",
+            accepted="1 ms or more",
         )
     return min(count, available)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from services.retrieval.baseline import CHANGE_FEATURES, change_features
 from services.retrieval.features import SHAPE_FEATURES, STRENGTH_FEATURES, TEXTURE_FEATURES
+from services.retrieval.ubj import is_whole_object
 from shared.errors import DomainError
 
 FEATURES = (*STRENGTH_FEATURES, *SHAPE_FEATURES, *TEXTURE_FEATURES, *CHANGE_FEATURES, "is_raw_if")
@@ -61,12 +62,19 @@ class BurnedModel:
 
 def load_model(path: str | Path) -> BurnedModel:
     """Read a model written by ``BurnedModel.save``; DomainError where the file is no such model."""
+    content = Path(path).read_bytes()
+    if not (is_whole_object(content) and b"gradient_booster" in content):
+        raise DomainError(
+            f"'{Path(path).name}' is no burned-area model, or not all of one.",
+            field="model",
+            accepted="a UBJ file written by train-burned-area",
+        )
     try:
-        booster = xgb.Booster(params={"nthread": 1}, model_file=bytearray(Path(path).read_bytes()))
+        booster = xgb.Booster(params={"nthread": 1}, model_file=bytearray(content))
         slope, intercept = json.loads(booster.attr("calibration") or "")
         threshold = float(booster.attr("threshold") or "")
         features = tuple(json.loads(booster.attr("features") or ""))
-    except (OSError, ValueError, xgb.core.XGBoostError) as error:
+    except (ValueError, xgb.core.XGBoostError) as error:
         raise DomainError(
             f"'{Path(path).name}' is no burned-area model: {str(error).splitlines()[0]}",
             field="model",

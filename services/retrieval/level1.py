@@ -62,15 +62,7 @@ class Chunk:
 
 def read_level1(path: str | Path, chunk_samples: int | None = None) -> Iterator[Chunk]:
     """Yield the file's maps in chunks of samples; DomainError names what is unreadable, missing or misshapen."""
-    try:
-        file = netCDF4.Dataset(str(path), "r")
-    except (OSError, RuntimeError) as error:
-        raise DomainError(
-            f"'{Path(path).name}' cannot be read as netCDF (truncated or another format): {error}",
-            field="observations",
-            value=Path(path).name,
-            accepted="a CYGNSS level-1 v3 netCDF-4 file",
-        ) from error
+    file = _open(path)
     with file:
         file.set_auto_maskandscale(False)
         mode = _check_layout(file, Path(path).name)
@@ -88,6 +80,18 @@ def read_level1(path: str | Path, chunk_samples: int | None = None) -> Iterator[
                     value=Path(path).name,
                     accepted="a complete file",
                 ) from error
+
+
+def _open(path: str | Path) -> netCDF4.Dataset:
+    try:
+        return netCDF4.Dataset(str(path), "r")
+    except (OSError, RuntimeError) as error:
+        raise DomainError(
+            f"'{Path(path).name}' cannot be read as netCDF (truncated or another format): {error}",
+            field="observations",
+            value=Path(path).name,
+            accepted="a CYGNSS level-1 v3 netCDF-4 file",
+        ) from error
 
 
 def _check_layout(file: netCDF4.Dataset, name: str) -> str:
@@ -174,6 +178,6 @@ def _satellites(file: netCDF4.Dataset, rows: slice, samples: int) -> NDArray[np.
 
 
 def is_simulated(path: str | Path) -> bool:
-    """True where the file says that its maps are simulated."""
-    with netCDF4.Dataset(str(path), "r") as file:
+    """True where the file says that its maps are simulated; DomainError where it is no netCDF."""
+    with _open(path) as file:
         return str(getattr(file, "simulated", "false")).lower() == "true"

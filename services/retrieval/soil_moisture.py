@@ -142,7 +142,8 @@ def retrieve(looks: pd.DataFrame, reference: pd.DataFrame) -> tuple[pd.DataFrame
     columns = ["time", *CELL, "soil_moisture", "soil_moisture_sd", "count", "mode"]
     if not len(joined):
         empty = pd.DataFrame({name: [] for name in columns})
-        return empty.astype({"row": "int32", "column": "int32", "count": "int32", "mode": object}), counts
+        kinds = {"time": "datetime64[ms]", "row": "int32", "column": "int32", "count": "int32", "mode": object}
+        return empty.astype(kinds), counts
     joined["flat"] = flat_reflectivity(joined, joined["incidence_slope_db_per_deg"]) - joined["reflectivity_mean_db"]
     daily = joined.assign(day=_days(joined["time"])).groupby(["day", *CELL, "mode"], as_index=False, sort=True).agg(
         time=("time", "max"), flat=("flat", "mean"), count=("flat", "size"),

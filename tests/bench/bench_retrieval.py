@@ -1,0 +1,110 @@
+"""Benchmark of the retrieval service: one JSON object a line, {"name", "value", "unit", "bar"}.
+
+Burned-area figures are of simulated worlds that the shipped model has not seen (seeds, places and days of their own):
+``burned_auc_nominal`` and ``burned_auc_raw_if`` by what a map alone tells (no baseline), ``burned_auc_change`` with the
+change against the place's own past, both modes. Soil moisture over Texas is real CYGNSS against SMAP, each day
+predicted from the others, beside the cell mean; it needs SMOKEGLINT_DATA and is left out without.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("OMP_NUM_THREADS", "2")
+
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from services.retrieval.burned_area import FEATURES, auc, load_model, train
+from services.retrieval.processes import MODEL_PATH
+from services.retrieval.shipped_model import world_examples
+from services.retrieval.simulation.observations import simulate_nominal
+from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
+from services.retrieval.soil_moisture import skill_report
+from services.retrieval.texture import quantise, texture
+from tests.services.retrieval.texas import texas_pairs
+
+WORLDS = [WorldPlan(7001 + n, 31.0 + 5 * n, -105.0 - 4 * n, first_day="2024-02-10") for n in range(2)]
+
+
+def emit(name: str, value: float, unit: str, bar: float | None) -> None:
+    print(json.dumps({"name": name, "value": value, "unit": unit, "bar": bar}), flush=True)
+
+
+def best_of(runs: int, work: Callable[[], Any]) -> float:
+    """The shortest of several timings, s."""
+    times = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def measure_maps() -> None:
+    """Simulation from specular points to maps (surface look-up, scattering, noise; no file), texture of those maps."""
+    plan = WorldPlan(7100, 38.0, -110.0)
+    surface = make_surface(plan)
+    points = make_specular_points(plan, plan.first_ms, plan.first_ms + 15 * DAY_MS, 0)
+    made = simulate_nominal(points, surface, 1)
+    seconds = best_of(3, lambda: simulate_nominal(points, surface, 1))
+    emit("simulate_maps_per_s", round(len(made.maps) / seconds), "1/s", 10_000)
+    texture(quantise(made.maps[:10]))
+    seconds = best_of(3, lambda: texture(quantise(made.maps)))
+    emit("texture_maps_per_s", round(len(made.maps) / seconds), "1/s", 100_000)
+
+
+def measure_model() -> None:
+    """Training on 200,000 looks with the shipped settings, prediction of 100, size on disk."""
+    rng = np.random.default_rng(0)
+    table = pd.DataFrame(rng.standard_normal((200_000, len(FEATURES))).astype(np.float32), columns=list(FEATURES))
+    burned = rng.random(len(table)) < 1 / (1 + np.exp(3.0 - table["change_near_db"] - 0.5 * table["coherence"] ** 2))
+    held = np.arange(len(table)) % 10 == 0
+    start = time.perf_counter()
+    train(table, burned.to_numpy(), held)
+    emit("train_200k_s", round(time.perf_counter() - start, 2), "s", 30)
+    model, hundred = load_model(MODEL_PATH), table.head(100)
+    emit("predict_100_ms", round(1e3 * best_of(20, lambda: model.probability(hundred)), 2), "ms", 20)
+    emit("model_mib", round(MODEL_PATH.stat().st_size / 2**20, 3), "MiB", 1)
+
+
+def measure_burned() -> None:
+    """The shipped model on worlds of the benchmark's own."""
+    with tempfile.TemporaryDirectory() as folder:
+        worlds = [world_examples(plan, Path(folder)) for plan in WORLDS]
+    table = pd.concat([world.table for world in worlds], ignore_index=True)
+    burned = np.concatenate([world.burned for world in worlds])
+    raw_if = np.concatenate([world.raw_if for world in worlds])
+    model = load_model(MODEL_PATH)
+    alone = table.copy()
+    alone[[name for name in FEATURES if "change" in name or name.startswith("baseline")]] = np.nan
+    single = model.probability(alone)
+    emit("burned_auc_nominal", round(auc(single[~raw_if], burned[~raw_if]), 4), "1", None)
+    emit("burned_auc_raw_if", round(auc(single[raw_if], burned[raw_if]), 4), "1", None)
+    emit("burned_auc_change", round(auc(model.probability(table), burned), 4), "1", None)
+
+
+def measure_texas() -> None:
+    """Real CYGNSS and SMAP: ubRMSE with each day predicted from the others, and of the cell mean."""
+    folder = os.environ.get("SMOKEGLINT_DATA")
+    if not folder:
+        return
+    report = skill_report(texas_pairs(Path(folder)))
+    emit("sm_ubrmse_texas", round(report["regression"]["ubrmse"], 4), "m3/m3", None)
+    emit("sm_ubrmse_texas_baseline", round(report["cell_mean_baseline"]["ubrmse"], 4), "m3/m3", None)
+    emit("sm_interval90_coverage", round(report["regression"]["interval90_coverage"], 3), "1", 0.9)
+
+
+if __name__ == "__main__":
+    measure_maps()
+    measure_model()
+    measure_burned()
+    measure_texas()
