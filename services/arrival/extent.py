@@ -85,14 +85,16 @@ def _distance_and_cover(grid: FireGrid, looks: Looks) -> tuple[Floats, Mask]:
     x, y = grid.cell_centres_km()
     cells = np.column_stack([x.ravel(), y.ravel()])
     nearest, cover = np.full(len(cells), np.inf), np.zeros(len(cells), bool)
-    # Half a kilometre covers sensor pixels of 375 m to 1 km with their jitter; a coarse cell must hold its own look.
+    # Half a kilometre covers sensor pixels of 375 m to 1 km with their jitter; of a coarse cell it is the inner half.
     reach = np.where(looks.radius_km <= 0.6, 0.45, np.minimum(0.7 * looks.radius_km, looks.radius_km - 0.1))
-    reach = np.maximum(reach, 0.6 * grid.cell_m / 1e3)
+    reach = np.maximum(reach, 0.5 * grid.cell_m / 1e3)
     for value in np.unique(np.round(reach, 2)):
         part = looks.take(np.round(reach, 2) == value)
         distance, _ = cKDTree(np.column_stack([part.x_km, part.y_km])).query(cells)
         nearest = np.minimum(nearest, distance)
         cover |= distance <= value
+    if not cover.any():  # a lone look in the corner of a coarse cell
+        cover = np.isfinite(paint(grid, looks, "first")).ravel()
     return nearest.reshape(grid.shape), cover.reshape(grid.shape)
 
 

@@ -51,3 +51,9 @@ def test_closing_fills_narrow_gaps_only_and_never_shrinks() -> None:
     closed = closing(mask, 3.0)
     assert (closed | ~mask).all()
     assert closed[15, 7] and not closed[15, 17]
+
+
+def test_a_lone_detection_in_the_corner_of_a_coarse_cell_is_kept() -> None:
+    coarse = FireGrid(32613, 400_000 + 2000 * (np.arange(10) + 0.5), 3_700_000 + 2000 * (np.arange(10) + 0.5), 2000.0)
+    evidence = gather(coarse, looks([(0.05, 0.05, 5, FIRE, 1, 0.2)]))
+    assert evidence.enclosed.sum() == 1
