@@ -34,6 +34,7 @@ class Timeline:
     """Images of the request that no exact timeline could hold."""
     cuts: tuple[tuple[int, int], ...] = ()
     """(satellite, second) at which totals per chunk had to be refined."""
+    time_limited: bool = False
 
 
 def emit_timeline(problem: PlanningProblem, images: IntArray) -> Timeline:
@@ -46,11 +47,14 @@ def emit_timeline(problem: PlanningProblem, images: IntArray) -> Timeline:
     wanted = np.unique(np.concatenate([images, problem.frozen_images])).astype(np.int64)
     kept = wanted
     cuts: tuple[tuple[int, int], ...] = ()
+    cut = False
     for _ in range(REFINEMENTS + len(wanted)):
         chunks = build_chunks(problem, cuts)
-        seconds = _downlink_seconds(problem, chunks, kept)
+        seconds, slow = _downlink_seconds(problem, chunks, kept)
+        cut |= slow
         if seconds is None:
-            fitting = _fitting(problem, chunks, kept)
+            fitting, slow = _fitting(problem, chunks, kept)
+            cut |= slow
             if len(fitting) == len(kept):
                 fitting = _without_cheapest(problem, kept, Shortfall("storage", 0, problem.horizon_s))
             kept = fitting
@@ -58,7 +62,7 @@ def emit_timeline(problem: PlanningProblem, images: IntArray) -> Timeline:
         downlink = place_seconds(problem, chunks, kept, seconds)
         broken = first_shortfall(problem, kept, downlink)
         if broken is None:
-            return Timeline(kept, downlink, np.setdiff1d(wanted, kept), cuts)
+            return Timeline(kept, downlink, np.setdiff1d(wanted, kept), cuts, cut)
         new = _finer(problem, chunks, kept, broken, cuts)
         if new == cuts or len(cuts) > 4 * REFINEMENTS:
             kept = _without_cheapest(problem, kept, broken)
@@ -106,27 +110,29 @@ def _fixed_model(problem: PlanningProblem, chunks: Chunks, images: IntArray, mar
     return replace(model, low=low, cost=cost)
 
 
-def _downlink_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> IntArray | None:
-    """Whole downlink seconds per link, as much and as early as possible; None if the images do not fit."""
+def _downlink_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> tuple[IntArray | None, bool]:
+    """Whole seconds per link, as much and as early as possible (None: images do not fit), and whether time cut it."""
+    cut = False
     for margin_wh in (BATTERY_MARGIN_WH, 0.0):
         model = _fixed_model(problem, chunks, images, margin_wh)
         whole = np.zeros(len(model.cost), bool)
         whole[model.images + model.groups : model.images + model.groups + model.links] = True
         solution = branch_and_bound(model, whole, LATENCY_GAP, NODES, GUARD_S)
+        cut |= solution.time_limited
         if solution.feasible:
-            return np.rint(solution.links).astype(np.int64)
-    return None
+            return np.rint(solution.links).astype(np.int64), cut
+    return None, cut
 
 
-def _fitting(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> IntArray:
-    """The most valuable subset of ``images`` that satisfies the (refined) model."""
+def _fitting(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> tuple[IntArray, bool]:
+    """The most valuable subset of ``images`` that satisfies the (refined) model, and whether time cut the search."""
     targets = len(problem.targets.value)
     coverage = reduce_coverage(problem, chunks, images, np.ones(targets, bool), np.zeros(targets, bool))
     model = build_model(problem, chunks, coverage)
     whole = np.zeros(len(model.cost), bool)
     whole[: model.images] = True
     solution = branch_and_bound(model, whole, 1e-4, NODES, GUARD_S)
-    return coverage.image[solution.images > 0.5]
+    return coverage.image[solution.images > 0.5], solution.time_limited
 
 
 def _without_cheapest(problem: PlanningProblem, images: IntArray, broken: Shortfall) -> IntArray:

@@ -47,7 +47,8 @@ class Plan:
     objective: float
     bound: float
     mandatory: bool
-    mandatory_possible: bool
+    mandatory_possible: bool | None
+    """Whether all reachable active targets can be met together; None where the work limit left that open."""
     method: str
     time_limited: bool
     model_size: dict[str, int]
@@ -99,10 +100,10 @@ def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock
     seen = problem.covered_targets(np.arange(len(problem.images)))
     progress(5, "mandatory targets")
     wanted = problem.targets.active & seen
-    seed, possible = _mandatory_seed(problem, chunks, wanted, options, clock)
+    seed, possible, cut_seed = _mandatory_seed(problem, chunks, wanted, options, clock)
     if options.active_mandatory == "true":
         _demand_all(problem, seen, possible)
-    mandatory = options.active_mandatory != "false" and possible
+    mandatory = options.active_mandatory != "false" and possible is True
     required = wanted if mandatory else np.zeros(len(seen), bool)
     coverage = reduce_coverage(problem, chunks, np.arange(len(problem.images)), np.ones(len(seen), bool), required)
     progress(15, "solving")
@@ -118,7 +119,16 @@ def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock
         "target_groups": len(coverage.value), "entries_reduced": len(coverage.group), "chunks": len(chunks),
         "cycles": int(sum(chunks.cycle[chunks.offset[1:] - 1] + 1)),
     }  # fmt: skip
-    return Plan(timeline, objective, max(bound, objective), kept, possible, method, cut, size)
+    return Plan(
+        timeline,
+        objective,
+        max(bound, objective),
+        kept,
+        possible,
+        method,
+        cut or cut_seed or timeline.time_limited,
+        size,
+    )
 
 
 def _emit_full(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> Timeline:
@@ -148,11 +158,11 @@ def _check_idle(problem: PlanningProblem) -> None:
 
 def _mandatory_seed(
     problem: PlanningProblem, chunks: Chunks, wanted: BoolArray, options: Options, clock: Clock
-) -> tuple[IntArray, bool]:
-    """Images that meet every wanted target, and whether such a set exists (counting targets, rewards aside)."""
+) -> tuple[IntArray, bool | None, bool]:
+    """Images that meet every wanted target, whether such a set exists (None: not decided), whether time cut it."""
     none = np.zeros(0, np.int64)
     if options.active_mandatory == "false" or not wanted.any():
-        return none, True
+        return none, True, False
     everything = np.arange(len(problem.images))
     required = np.zeros(len(wanted), bool)
     coverage = reduce_coverage(problem, chunks, everything, wanted, wanted)
@@ -166,10 +176,12 @@ def _mandatory_seed(
     solution = branch_and_bound(model, whole, 0.0, NODES, min(30.0, clock.left()))
     images = coverage.image[solution.images > 0.5] if solution.feasible else none
     required[wanted] = True
-    return images, bool(problem.covered_targets(images)[required].all())
+    met = bool(problem.covered_targets(images)[required].all())
+    refuted = solution.bound < len(coverage.value) - 0.5
+    return images, True if met else (False if refuted else None), solution.time_limited and not met
 
 
-def _demand_all(problem: PlanningProblem, seen: BoolArray, possible: bool) -> None:
+def _demand_all(problem: PlanningProblem, seen: BoolArray, possible: bool | None) -> None:
     missing = problem.targets.target_id[problem.targets.active & ~seen]
     if len(missing) or not possible:
         what = (
