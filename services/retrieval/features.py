@@ -16,7 +16,6 @@ from services.retrieval.land_screening import LandLimits, screen_land
 from services.retrieval.level1 import Chunk, read_level1
 from services.retrieval.reflectivity import footprint_m, reflectivity_db
 from services.retrieval.texture import PROPERTIES, quantise, texture
-from shared.errors import DomainError
 
 LOOK_S = {"nominal": 0.5, "raw-if": 1.0}
 SHAPE_FEATURES = (
@@ -115,7 +114,7 @@ def texture_features(maps_w: NDArray) -> NDArray[np.float64]:
 def look_features(chunk: Chunk, limits: LandLimits) -> tuple[pd.DataFrame, dict[str, int]]:
     """Features and position of a chunk's usable looks, and the counts of what was screened out and why."""
     power = chunk.power_w
-    peak = power.reshape(len(power), -1).max(axis=1).astype(np.float64)
+    peak = power.max(axis=(1, 2)).astype(np.float64)
     usable, counts = screen_land(chunk.metadata, peak, limits)
     meta, maps, peak = chunk.metadata[usable].reset_index(drop=True), power[usable], peak[usable]
     frame = _position(meta, chunk.mode)
@@ -173,18 +172,9 @@ def read_observations(
             if not inside.all():
                 total["outside_time"] = total.get("outside_time", 0) + int((~inside).sum())
             frames.append(frame[inside])
-    kept = [frame for frame in frames if len(frame)]
-    if not kept:
-        return Observations(frames[0].iloc[:0].assign(row=0, column=0) if frames else _no_looks(), screening)
-    looks = pd.concat(kept, ignore_index=True)
+    looks = pd.concat([frame for frame in frames if len(frame)] or frames[:1], ignore_index=True)
     row, column = row_column(looks["latitude_deg"].to_numpy(), looks["longitude_deg"].to_numpy(), 9)
     return Observations(looks.assign(row=row, column=column)[row >= 0].reset_index(drop=True), screening)
-
-
-def _no_looks() -> pd.DataFrame:
-    raise DomainError(
-        "The observations hold no sample.", field="observations", accepted="level-1 files with at least one sample"
-    )
 
 
 def _within(time: pd.Series, start: np.datetime64 | None, end: np.datetime64 | None) -> NDArray[np.bool_]:

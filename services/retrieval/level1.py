@@ -69,7 +69,7 @@ def read_level1(path: str | Path, chunk_samples: int | None = None) -> Iterator[
         samples = file.dimensions["sample"].size
         step = chunk_samples or (4096 if mode == "nominal" else 128)
         resolution = _resolutions(file, mode)
-        for start in range(0, samples, step):
+        for start in range(0, max(samples, 1), step):  # a file without samples is one empty chunk
             rows = slice(start, min(start + step, samples))
             try:
                 yield _read_chunk(file, rows, mode, resolution)

@@ -176,7 +176,7 @@ def _draw_looks(axes: Any, ordered: geopandas.GeoDataFrame, threshold: float) ->
             c=part["burned_probability"],
             s=size,
             marker=marker,
-            edgecolors=np.where(part["burned"], "black", "none"),
+            edgecolors=np.where(part["burned"], "black", "0.75"),
             linewidths=0.7,
             cmap="YlOrRd",
             vmin=0.0,

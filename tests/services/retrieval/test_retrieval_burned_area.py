@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from sklearn.linear_model import LogisticRegression
-from sklearn.metrics import roc_auc_score
+from sklearn.metrics import fbeta_score, roc_auc_score
 
 import services.retrieval
 from services.retrieval.baseline import CHANGE_FEATURES, build_baseline, change_features
@@ -133,11 +133,14 @@ def test_platt_is_logistic_regression() -> None:
     assert (slope, intercept) == pytest.approx((other.coef_[0, 0], other.intercept_[0]), abs=2e-3)
 
 
-def test_threshold_gives_the_best_f1_and_confidence_counts_from_it() -> None:
-    probability = np.concatenate([np.full(80, 0.1), np.full(20, 0.3), np.full(10, 0.7)])
-    burned = np.concatenate([np.zeros(80, bool), np.ones(20, bool), np.ones(10, bool)])
-    threshold = best_threshold(probability, burned)
-    assert 0.1 < threshold <= 0.3
+def test_threshold_gives_the_best_f_score_and_confidence_counts_from_it() -> None:
+    rng = np.random.default_rng(3)
+    burned = rng.random(2000) < 0.2
+    probability = np.clip(rng.normal(0.2 + 0.25 * burned, 0.12), 0.0, 1.0)
+    for beta in (0.5, 1.0):
+        threshold = best_threshold(probability, burned, beta)
+        best = max(fbeta_score(burned, probability >= step, beta=beta) for step in np.arange(5, 96) / 100.0)
+        assert fbeta_score(burned, probability >= threshold, beta=beta) == pytest.approx(best)
     found = confidence(np.array([0.0, threshold / 2, threshold, 1.0]), threshold)
     assert found == pytest.approx([100.0, 50.0, 0.0, 100.0])
 

@@ -267,3 +267,19 @@ def test_no_usable_look_is_an_empty_product_not_an_error(root: Path, chain: dict
         time_from="2030-01-01T00:00:00Z",
     )
     assert moisture["cell_count"] == 0
+
+
+def test_images_that_saw_no_surface_give_an_empty_file_that_reads(root: Path) -> None:
+    far = read_table(root / "in/images.parquet", tables.AS_RUN)
+    far = far.assign(start=far["start"] + pd.Timedelta(days=400), end=far["end"] + pd.Timedelta(days=400))
+    write_table(root / "in/far.parquet", far, tables.AS_RUN)
+    made = _run(
+        root,
+        "simulate-observations",
+        specular_points={"href": "in/after.parquet"},
+        surface={"href": "in/surface.nc"},
+        images={"href": "in/far.parquet"},
+        nominal=False,
+    )
+    assert made["raw_if_count"] == 0
+    assert _run(root, "retrieve-burned-area", observations=[made["raw_if"]])["look_count"] == 0
