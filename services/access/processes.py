@@ -106,6 +106,13 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
     )
 
 
+# Imported by a worker before its first job; the HTTP side stays light.
+WARM_MODULES = (
+    "services.access.prediction",
+    "services.access.products",
+    "shared.contracts.tables",
+)
+
 PROCESSES = [
     Process(
         id="predict-access",

@@ -113,8 +113,8 @@ def looks_from_burned_area(points: gpd.GeoDataFrame, grid: FireGrid, reference: 
     """Burned-area contract rows as looks on a grid. Raises DomainError at a NaN position or probability outside
     0..1."""
     lon, lat = positions(points, "burned_area")
-    probability = points["burned_probability"].to_numpy(float)
-    if not ((probability >= 0) & (probability <= 1)).all():
+    stated = points["burned_probability"].to_numpy(float)
+    if not ((stated >= 0) & (stated <= 1)).all():
         raise DomainError(
             "burned_area: a probability lies outside 0..1",
             field="burned_area.burned_probability",
@@ -129,10 +129,22 @@ def looks_from_burned_area(points: gpd.GeoDataFrame, grid: FireGrid, reference: 
         _hours(points["time"], reference),
         np.full(x.size, BURNED_AREA, np.int8),
         np.full(x.size, GNSSR, np.int8),
-        probability,
+        _at_even_odds(stated, points),
         np.sqrt(along * across / np.pi) / 1e3,
         np.maximum(along, across) / 2e3,
     )
+
+
+def _at_even_odds(stated: Floats, points: gpd.GeoDataFrame) -> Floats:
+    """The probability that the look alone would give: the retrieval's own prior (where it states one) taken out.
+
+    The share of land that burns anyway says nothing about a place beside a fire, which the other looks speak for.
+    """
+    if "prior_probability" not in points:
+        return stated
+    prior = points["prior_probability"].to_numpy(float)
+    for_burned, against = stated * (1 - prior), (1 - stated) * prior
+    return np.asarray(for_burned / (for_burned + against))
 
 
 def merge(parts: list[Looks]) -> Looks:

@@ -150,6 +150,14 @@ def infer_fire_arrival(inputs: InferFireArrivalInputs, context: JobContext) -> I
     )
 
 
+# Imported by a worker before its first job; the HTTP side stays light.
+WARM_MODULES = (
+    "services.arrival.fires",
+    "services.arrival.isochrones",
+    "services.arrival.maps",
+    "shared.contracts.tables",
+)
+
 PROCESSES = [
     Process(
         id="infer-fire-arrival",

@@ -135,6 +135,13 @@ def check_plan(inputs: CheckPlanInputs, context: JobContext) -> CheckPlanOutputs
     )
 
 
+# Imported by a worker before its first job; the HTTP side stays light.
+WARM_MODULES = (
+    "services.planning.charts",
+    "services.planning.operations",
+    "shared.contracts.tables",
+)
+
 PROCESSES = [
     Process(
         id="plan-observations",

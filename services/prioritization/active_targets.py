@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
-from services.prioritization import expected_front, observation_age, reward
+from services.prioritization import burn_evidence, expected_front, observation_age, reward
 from services.prioritization.expected_front import KINDS, WEIGHTLESS, Front
 from services.prioritization.lattice import KM_PER_DEGREE, Lattice
 
@@ -125,19 +125,23 @@ def _priced(
 
 
 def _unburned_share(frame: pd.DataFrame, situation: Situation, lattice: Lattice) -> Array:
-    """What burned-area looks leave of a place's worth: nearly nothing where it burned half a day ago or longer."""
-    share = np.ones(len(frame))
+    """What burned-area looks leave of a place's worth: nearly nothing where it surely burned half a day ago or longer.
+
+    Beside a fire it is even odds whether a place has burned; the looks' evidence moves that, and the share left is the
+    probability that it has not, over that of a place nobody looked at. Below 1: likely burned; above 1: likely not.
+    """
+    evidence = np.zeros(len(frame))
     for table in situation.burned_area:
-        burned = table[table["burned"] & (table["time"] <= situation.time)]
-        points = burned.geometry.representative_point()
-        age_h = (situation.time - burned["time"]).dt.total_seconds().to_numpy() / 3600
-        loss = burned["burned_probability"].to_numpy() * np.where(age_h >= LONG_BURNED_H, 1.0, 0.5)
-        reach_km = np.maximum(burned["along_m"].to_numpy() / 2000, lattice.spacing_km / 2)
-        for x, y, lost, reach in zip(points.x, points.y, loss, reach_km, strict=True):
+        looks = table[table["time"] <= situation.time]
+        points = looks.geometry.representative_point()
+        age_h = (situation.time - looks["time"]).dt.total_seconds().to_numpy() / 3600
+        told = burn_evidence.log_likelihood_ratio(looks) * np.where(age_h >= LONG_BURNED_H, 1.0, 0.5)
+        reach_km = np.maximum(looks["along_m"].to_numpy() / 2000, lattice.spacing_km / 2)
+        for x, y, ratio, reach in zip(points.x, points.y, told, reach_km, strict=True):
             east = (frame["longitude_deg"].to_numpy() - x) * np.cos(np.radians(y))
             near = KM_PER_DEGREE * np.hypot(east, frame["latitude_deg"].to_numpy() - y) <= reach
-            share[near] = np.minimum(share[near], 1 - lost)
-    return share
+            evidence[near] += ratio
+    return 2 / (1 + np.exp(evidence))
 
 
 def _fire_report(

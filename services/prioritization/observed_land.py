@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from services.prioritization import burn_evidence
+
 Array = npt.NDArray[np.float64]
 
 EASE_X0_M, EASE_Y0_M = -17367530.445161372, 7314540.830638599
@@ -129,14 +131,16 @@ def burn_scar(
 ) -> Array:
     """Share of the fuel (0..1) that fresh scars took from each grid cell (y, x); 0 where none is known.
 
-    ``tables`` follow the burned_area contract. A look that found a burn marks the cells within its footprint (half its
-    length along the track, at least half a cell), in proportion to the area it covers of the cell.
+    ``tables`` follow the burned_area contract. A look marks the cells within its footprint (half its length along the
+    track, at least half a cell), in proportion to the area it covers of the cell and to how far its probability lies
+    above the share that burns anyway: a look that says no more than that takes nothing.
     """
     scar = np.zeros(latitude_deg.shape)
     for table in tables:
-        burned = table[table["burned"] & (table["time"] <= time)]
+        burned = table[(burn_evidence.excess_probability(table) > 0) & (table["time"] <= time)]
+        excess = burn_evidence.excess_probability(burned)
         points = burned.geometry.representative_point()
-        for x, y, row in zip(points.x, points.y, burned.itertuples(), strict=True):
+        for x, y, certain, row in zip(points.x, points.y, excess, burned.itertuples(), strict=True):
             radius_m = max(row.along_m, row.across_m) / 2
             height_m, width_m = 111195 * cell_deg[0], 111195 * cell_deg[1] * np.cos(np.radians(y))
             half_diagonal_m = 0.505 * np.hypot(height_m, width_m)
@@ -144,6 +148,6 @@ def burn_scar(
             near = 111195 * np.hypot(east, latitude_deg - y) <= max(radius_m, half_diagonal_m)
             age_days = (time - row.time).total_seconds() / 86400
             covered = min(1.0, row.along_m * row.across_m / (height_m * width_m))
-            lost = effect.loss * row.burned_probability * covered * np.exp(-age_days / effect.regrowth_days)
+            lost = effect.loss * certain * covered * np.exp(-age_days / effect.regrowth_days)
             scar[near] = 1 - (1 - scar[near]) * (1 - lost)
     return np.minimum(scar, effect.loss)

@@ -243,6 +243,15 @@ def build_targets(inputs: BuildTargetsInputs, context: JobContext) -> BuildTarge
     )
 
 
+# Imported by a worker before its first job; the HTTP side stays light.
+WARM_MODULES = (
+    "services.prioritization.fuel_moisture_grid",
+    "services.prioritization.rating",
+    "services.prioritization.danger_map",
+    "services.prioritization.targets",
+    "shared.contracts.tables",
+)
+
 PROCESSES = [
     Process(
         id="rate-active-fires",

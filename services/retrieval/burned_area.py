@@ -34,13 +34,17 @@ MISSING_BASELINE_SHARE = 0.1  # of training looks, so that places without a base
 
 @dataclass(frozen=True)
 class BurnedModel:
-    """A booster with its calibration p = 1 / (1 + exp(-(a m + b))) of the margin m, threshold and features."""
+    """A booster with its calibration p = 1 / (1 + exp(-(a m + b))) of the margin m, threshold and features.
+
+    ``base_rate`` is the burned share that the calibration was made on: p says more than it only by what the look saw.
+    """
 
     booster: xgb.Booster
     slope: float
     intercept: float
     threshold: float
     features: tuple[str, ...]
+    base_rate: float
 
     def probability(self, table: pd.DataFrame) -> NDArray[np.float64]:
         """Calibrated probability (n,) that each look's place has burned."""
@@ -55,6 +59,7 @@ class BurnedModel:
         self.booster.set_attr(
             calibration=json.dumps([self.slope, self.intercept]),
             threshold=repr(self.threshold),
+            base_rate=repr(self.base_rate),
             features=json.dumps(list(self.features)),
         )
         Path(path).write_bytes(bytes(self.booster.save_raw(raw_format="ubj")))
@@ -72,7 +77,7 @@ def load_model(path: str | Path) -> BurnedModel:
     try:
         booster = xgb.Booster(params={"nthread": 1}, model_file=bytearray(content))
         slope, intercept = json.loads(booster.attr("calibration") or "")
-        threshold = float(booster.attr("threshold") or "")
+        threshold, base_rate = (float(booster.attr(name) or "") for name in ("threshold", "base_rate"))
         features = tuple(json.loads(booster.attr("features") or ""))
     except (ValueError, xgb.core.XGBoostError) as error:
         raise DomainError(
@@ -83,7 +88,7 @@ def load_model(path: str | Path) -> BurnedModel:
     unknown = sorted(set(features) - set(FEATURES))
     if unknown:
         raise DomainError(f"The model wants unknown features {unknown}.", field="model", accepted=", ".join(FEATURES))
-    return BurnedModel(booster, float(slope), float(intercept), threshold, features)
+    return BurnedModel(booster, float(slope), float(intercept), threshold, features, base_rate)
 
 
 def feature_table(looks: pd.DataFrame, baseline: pd.DataFrame | None) -> pd.DataFrame:
@@ -120,9 +125,9 @@ def train(
     held = xgb.DMatrix(values[calibration], nthread=1)
     margin = booster.predict(held, output_margin=True).astype(np.float64)
     slope, intercept = platt(margin, burned[calibration])
-    model = BurnedModel(booster, slope, intercept, 0.5, tuple(features))
     probability = 1.0 / (1.0 + np.exp(-(slope * margin + intercept)))
-    return BurnedModel(booster, slope, intercept, best_threshold(probability, burned[calibration]), model.features)
+    threshold, base_rate = best_threshold(probability, burned[calibration]), float(burned[calibration].mean())
+    return BurnedModel(booster, slope, intercept, threshold, tuple(features), base_rate)
 
 
 def _hide_baseline(table: pd.DataFrame, seed: int) -> pd.DataFrame:

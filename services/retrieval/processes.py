@@ -212,6 +212,15 @@ def _process(run: Any, identifier: str, title: str, description: str, model_vers
     return Process(identifier, title, description, *shapes, run, model_version=model_version)
 
 
+# Imported by a worker before its first job; the HTTP side stays light.
+WARM_MODULES = (
+    "services.retrieval.burned_area",
+    "services.retrieval.products",
+    "services.retrieval.soil_moisture",
+    "services.retrieval.simulation.observations",
+    "shared.contracts.tables",
+)
+
 PROCESSES = [
     _process(
         simulate_observations,

@@ -31,13 +31,18 @@ EASE_CRS = {
 
 
 def burned_area_table(looks: pd.DataFrame, probability: NDArray, model: BurnedModel) -> geopandas.GeoDataFrame:
-    """The burned_area contract, a row a look, sorted by time; with ``satellite``, ``prn`` and ``reflectivity_db``."""
+    """The burned_area contract, a row a look, sorted by time; with ``satellite``, ``prn`` and ``reflectivity_db``.
+
+    ``prior_probability`` is the burned share that the probability was calibrated on: whoever knows better what share
+    has burned at a place (beside an active fire, say) takes the odds ratio of the two as the look's evidence.
+    """
     frame = pd.DataFrame(
         {
             "time": looks["time"],
             "along_m": looks["along_m"],
             "across_m": looks["across_m"],
             "burned_probability": probability,
+            "prior_probability": model.base_rate,
             "burned": probability >= model.threshold,
             "confidence": confidence(probability, model.threshold),
             "mode": looks["mode"],

@@ -145,6 +145,7 @@ def make_burned_area(longitude: float, latitude: float, hours_ago: float, probab
             "along_m": [6000.0],
             "across_m": [4000.0],
             "burned_probability": [probability],
+            "prior_probability": [0.04],
             "burned": [True],
             "confidence": [90.0],
             "mode": ["raw-if"],
