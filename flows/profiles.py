@@ -9,7 +9,11 @@ from flows.loop import LoopSettings
 
 @dataclass(frozen=True)
 class Profile:
-    """Loop settings of a case, and the history that its calibration looks back on."""
+    """Loop settings of a case, and the history that its calibration looks back on.
+
+    The shipped cases count a target as covered within 5 km: a raw-IF footprint over land is kilometres wide, and in a
+    region this small a wider radius would leave the planner nothing to choose.
+    """
 
     settings: LoopSettings
     calibration_days: int
@@ -18,22 +22,23 @@ class Profile:
 
 _TINY = Profile(
     LoopSettings(
-        access={"step_s": 1},
-        targets={"active_spacing_km": 6, "prefire_spacing_deg": 0.2},
+        target_radius_km=5.0,
+        targets={"active_spacing_km": 5, "prefire_spacing_deg": 0.1},
         planning={"time_limit_s": 60},
-        arrival={"cell_m": 1000, "epochs": 150, "ensemble": 2},
+        arrival={"cell_m": 1000, "epochs": 20, "ensemble": 2},
     ),
-    calibration_days=4,
-    calibration_step_s=20,
+    calibration_days=6,
+    calibration_step_s=1,
 )
 _DEMO = Profile(
     LoopSettings(
-        targets={"active_spacing_km": 4, "prefire_spacing_deg": 0.1},
+        target_radius_km=5.0,
+        targets={"active_spacing_km": 4, "prefire_spacing_deg": 0.05},
         planning={"time_limit_s": 120},
         arrival={"cell_m": 500},
     ),
-    calibration_days=6,
-    calibration_step_s=10,
+    calibration_days=10,
+    calibration_step_s=1,
 )
 _PROFILES = {"tiny": _TINY}
 

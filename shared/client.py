@@ -15,7 +15,7 @@ from shared.errors import JobFailedError
 from shared.telemetry import CORRELATION_HEADER
 
 Progress = Callable[[float, str], None]
-_POLL_FIRST_S, _POLL_LAST_S = 0.05, 1.0
+_POLL_FIRST_S, _POLL_LAST_S = 0.05, 0.25
 
 
 def is_transient(error: BaseException) -> bool:

@@ -25,7 +25,7 @@ from shared.contracts.grids import FUELS, write_netcdf
 from shared.contracts.schema import write_table
 from shared.errors import DomainError
 
-FIRST_CUTOFF = datetime(2025, 9, 1, tzinfo=UTC)
+FIRST_CUTOFF = datetime(2025, 9, 1, 12, tzinfo=UTC)  # 05:00 in Arizona; the day's passes lie on both sides of it
 ANALYSIS_DAYS = 10  # of weather before the first cut-off
 LOOKS_BEFORE_H = 48.0  # of detections before the first cut-off
 DEFAULT_SEED = 20250901
@@ -55,8 +55,8 @@ def setting_of(size: str, seed: int = DEFAULT_SEED) -> Setting:
             soil_step_deg=0.05,
             burn_step_deg=0.005,
             ignitions=(
-                Ignition("SIM001", "Simulated Canyon", -109.95, 33.72, -27.3, half_width_km=22.0),
-                Ignition("SIM002", "Simulated Mesa", -109.6, 34.16, 13.6, half_width_km=14.0),
+                Ignition("SIM001", "Simulated Canyon", -109.95, 33.72, -39.3, half_width_km=22.0),
+                Ignition("SIM002", "Simulated Mesa", -109.6, 34.16, 1.6, half_width_km=14.0),
             ),
         )
     if size == "demo":
@@ -65,10 +65,10 @@ def setting_of(size: str, seed: int = DEFAULT_SEED) -> Setting:
             first_cutoff=FIRST_CUTOFF,
             seed=seed,
             ignitions=(
-                Ignition("SIM001", "Simulated Canyon", -110.35, 33.25, -42.4, half_width_km=25.0),
-                Ignition("SIM002", "Simulated Mesa", -109.1, 34.05, -26.8, half_width_km=22.0),
-                Ignition("SIM003", "Simulated Rim", -110.5, 34.4, -7.2, 3.0, half_width_km=20.0),
-                Ignition("SIM004", "Simulated Creek", -109.05, 32.85, 14.1, 3.0, half_width_km=16.0),
+                Ignition("SIM001", "Simulated Canyon", -110.35, 33.25, -54.4, half_width_km=25.0),
+                Ignition("SIM002", "Simulated Mesa", -109.1, 34.05, -38.8, half_width_km=22.0),
+                Ignition("SIM003", "Simulated Rim", -110.5, 34.4, -19.2, 3.0, half_width_km=20.0),
+                Ignition("SIM004", "Simulated Creek", -109.05, 32.85, 2.1, 3.0, half_width_km=16.0),
             ),
         )
     raise DomainError(

@@ -23,7 +23,7 @@ class SatelliteState(BaseModel):
     battery_initial_wh: float | None = Field(default=None, ge=0, description="battery charge at horizon_start, Wh")
     unavailable: tuple[UnavailableWindow, ...] = ()
     uplink_margin_s: int | None = Field(
-        default=None, ge=0, description="from the start of a contact to the first new command"
+        default=None, ge=0, description="from the end of a contact to the first new command, s"
     )
 
 
@@ -42,7 +42,7 @@ class Spacecraft(BaseModel):
     downlink_w: float = Field(ge=0, description="power on top while downlinking, W")
     horizon_start: AwareDatetime
     horizon_s: int = Field(ge=0, description="length of the horizon, s")
-    uplink_margin_s: int = Field(0, ge=0, description="from the start of a contact to the first new command")
+    uplink_margin_s: int = Field(0, ge=0, description="from the end of a contact to the first new command, s")
     satellites: dict[str, SatelliteState] = Field(default_factory=dict)
 
     @model_validator(mode="before")

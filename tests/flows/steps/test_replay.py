@@ -18,19 +18,19 @@ NOTHING_CARRIED = pd.DataFrame({name: [] for name in AS_RUN_COLUMNS})
 
 
 def spacecraft(**changes: Any) -> Spacecraft:
-    values = dict(
-        storage_images=3,
-        downlink_s_per_image=4,
-        battery_capacity_wh=90.0,
-        battery_min_wh=10.0,
-        battery_initial_wh=85.0,
-        generation_w=40.0,
-        nominal_w=20.0,
-        collect_w=15.0,
-        downlink_w=25.0,
-        horizon_start=START.to_pydatetime(),
-        horizon_s=1000,
-    )
+    values = {
+        "storage_images": 3,
+        "downlink_s_per_image": 4,
+        "battery_capacity_wh": 90.0,
+        "battery_min_wh": 10.0,
+        "battery_initial_wh": 85.0,
+        "generation_w": 40.0,
+        "nominal_w": 20.0,
+        "collect_w": 15.0,
+        "downlink_w": 25.0,
+        "horizon_start": START.to_pydatetime(),
+        "horizon_s": 1000,
+    }
     return Spacecraft.model_validate(values | changes)
 
 
