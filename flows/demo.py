@@ -10,7 +10,7 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from rich.console import Console
@@ -21,7 +21,7 @@ from flows.loop import FEEDBACKS
 from flows.prefect_server import running_prefect_server
 from flows.profiles import profile_of
 from flows.runner import flow_code_version, open_store
-from flows.services import running_services, wait_until_ready
+from flows.services import SERVICES, running_services, wait_until_ready
 from shared.errors import DomainError, SmokeglintError
 
 SIMULATED = ("tiny", "demo")
@@ -49,6 +49,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--cycle-hours", type=int, default=24, choices=(6, 12, 24), help="length of a cycle")
     parser.add_argument("--without", nargs="*", default=[], choices=sorted(FEEDBACKS), help="feedbacks to leave out")
     parser.add_argument("--plain", action="store_true", help="do not run the last cycle again without feedback")
+    parser.add_argument(
+        "--services",
+        default=os.environ.get("SMOKEGLINT_SERVICES", ""),
+        metavar="NAME=URL,...",
+        help="use these five running services, whose artifact root must be --root, instead of starting some",
+    )
     options = parser.parse_args(arguments)
     options.root = options.root.resolve()
     return options
@@ -57,7 +63,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, console: Console) -> None:
     begun = time.monotonic()
     console.print(f"Smokeglint: case {options.case}, artifacts under {options.root}", highlight=False)
-    with running_services(options.root) as urls, running_prefect_server(options.root):
+    services = nullcontext(named_services(options.services)) if options.services else running_services(options.root)
+    with services as urls, running_prefect_server(options.root):
         console.print("Building the case while the services start …")
         case = build_case(options.case, options.root)
         if case.simulated:
@@ -114,6 +121,22 @@ def build_case(name: str, root: Path) -> Case:
         build_black_2022(real_data(), fresh)
     fresh.rename(folder)
     return read_case(folder)
+
+
+def named_services(text: str) -> dict[str, str]:
+    """The base URL of each service from ``access=http://host:8001,…``; DomainError unless all five are named once."""
+    pairs = [pair.partition("=") for pair in text.split(",")]
+    urls = {name.strip(): url.strip() for name, _, url in pairs}
+    known = len(pairs) == len(urls) and set(urls) == set(SERVICES)
+    if not known or not all(url.startswith(("http://", "https://")) for url in urls.values()):
+        accepted = ",".join(f"{name}=http://host:port" for name in SERVICES)
+        raise DomainError(
+            f"'{text}' does not name the five services; it must read {accepted}.",
+            field="services",
+            value=text,
+            accepted=accepted,
+        )
+    return urls
 
 
 def real_data() -> Path:
