@@ -94,7 +94,8 @@ def run_case(
     times = _times(case, done)
     catalogue = write_catalogue(store, root, case.name, case.title, case.region, times, run.made)
     shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
-    shown += [local_file(reference) for reference in done[-1].steps["infer-fire-arrival"]["maps"]]
+    last_maps = [perimeters[-1]["map"]] if perimeters else done[-1].steps["infer-fire-arrival"]["maps"]
+    shown += [local_file(reference) for reference in last_maps]
     return CaseResult(done, changes, perimeters, [*shown, catalogue], stale)
 
 
@@ -178,7 +179,7 @@ def _score_one(runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, row: An
         "time": time.isoformat(),
     }
     values = runner.local(SCORE_PERIMETER, scored)["values"]
-    return {"incident_id": row.incident_id, "time": time.isoformat(), **values}
+    return {"incident_id": row.incident_id, "time": time.isoformat(), "map": arrival["maps"][0], **values}
 
 
 def _times(case: Case, done: Sequence[CycleProducts]) -> dict[str, Any]:

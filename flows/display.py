@@ -39,7 +39,8 @@ def cycle_table(cycles: Sequence[CycleProducts], title: str) -> Table:
     table.add_column("")
     for cycle in cycles:
         table.add_column(cycle.label, justify="right")
-    for name, value in _ROWS:
+    has_truth = any(cycle.steps["score"]["fires"] for cycle in cycles)
+    for name, value in (*_ROWS, *(_TRUTH_ROWS if has_truth else ())):
         table.add_row(name, *(value(cycle.steps) for cycle in cycles))
     return table
 
@@ -70,12 +71,18 @@ def _plan(steps: Steps) -> str:
 
 def _burned(steps: Steps) -> str:
     scores = steps["score"]["burned_area"]
-    return f"{scores['auc']:.2f} / {scores['f1']:.2f}" if scores.get("auc") is not None else "no truth"
+    burned = round((scores["base_rate"] or 0.0) * (scores["points"] or 0.0))
+    return f"{burned}; {scores['auc']:.2f}" if scores["auc"] is not None else f"{burned}"
+
+
+def _looks(steps: Steps) -> str:
+    seen = steps["retrieve-burned-area"]
+    return f"{seen['look_count']}, {seen['burned_count']}"
 
 
 def _error(steps: Steps) -> str:
     fires = steps["score"]["fires"]
-    return "\n".join(_fire(name, scores) for name, scores in sorted(fires.items())) or "no truth"
+    return "\n".join(_fire(name, scores) for name, scores in sorted(fires.items()))
 
 
 def _fire(name: str, scores: Mapping[str, float | None]) -> str:
@@ -89,7 +96,10 @@ _ROWS = (
     ("… recorded, active / pre-fire", _covered),
     ("plan: reward of bound (gap)", _plan),
     ("images: collected / downlinked / lost / on board", _images),
-    ("burned-area points against truth: AUC / F1", _burned),
+    ("burned-area looks, said to have burned", _looks),
+)
+_TRUTH_ROWS = (
+    ("… that had burned in truth; AUC", _burned),
     ("fire arrival against truth: mean error", _error),
 )
 

@@ -58,11 +58,14 @@ def assemble_inputs(inputs: AssembleInputs, context: JobContext) -> AssembleOutp
     incidents = known_at.incidents_known_at(files, inputs.cutoff)
     detections = known_at.detections_known_at(files, inputs.cutoff)
     weather = known_at.weather_known_at(files, inputs.cutoff, inputs.cutoff - WEATHER_HISTORY)
-    attributes = context.product_attributes()
-    write_netcdf(context.new_file("weather.nc"), WEATHER_GRID.check(weather), attributes)
+    # Real detections stay real beside simulated weather: each file is marked by what it was made from.
+    reports = [inputs.incidents, *([inputs.incident_reports] if inputs.incident_reports else [])]
+    sky = [inputs.weather_analysis, inputs.weather_forecast]
+    path = context.new_file("weather.nc", sky)
+    write_netcdf(path, WEATHER_GRID.check(weather), context.product_attributes(sky))
     return AssembleOutputs(
-        incidents=context.write_table("incidents.parquet", incidents, "INCIDENTS"),
-        detections=context.write_table("detections.parquet", detections, "DETECTIONS"),
+        incidents=context.write_table("incidents.parquet", incidents, "INCIDENTS", reports),
+        detections=context.write_table("detections.parquet", detections, "DETECTIONS", [inputs.detections]),
         weather=context.ref("weather.nc"),
         incident_count=len(incidents),
         detection_count=len(detections),

@@ -72,17 +72,17 @@ def _known_perimeters(inputs: SituationInputs, context: JobContext) -> geopandas
 def draw(layers: Layers, inputs: SituationInputs, path: Path, product: dict[str, Any]) -> None:
     """Two panels over the region: the plan as it was carried out, and the fires as they are understood."""
     figure = Figure(figsize=(15, 8), layout="constrained")
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    left, right = figure.subplots(1, 2)
     when = f"{inputs.cutoff:%Y-%m-%d %H:%M} to {inputs.end:%Y-%m-%d %H:%M} UTC"
     figure.suptitle(f"{inputs.title}\n{when}", fontsize=13)
     _draw_targets(left, layers)
     _draw_fires(figure, right, layers, inputs)
-    west, south, east, north = inputs.region
-    for axes in (left, right):
-        axes.set(xlim=(west, east), ylim=(south, north), xlabel="longitude (°)")
+    for axes, box in ((left, inputs.region), (right, _around_fires(layers, inputs.region))):
+        west, south, east, north = box
+        axes.set(xlim=(west, east), ylim=(south, north), xlabel="longitude (°)", ylabel="latitude (°)")
         axes.set_aspect(1.0 / np.cos(np.radians((south + north) / 2)))
+        axes.locator_params(nbins=7)
         axes.grid(alpha=0.2)
-    left.set_ylabel("latitude (°)")
     figure.supxlabel(footer(product), fontsize=8, color="dimgrey")
     figure.savefig(path, dpi=110, metadata={"Software": None})
 
@@ -96,6 +96,23 @@ def footer(product: dict[str, Any]) -> str:
     return (
         f"{mark}{share} · oldest input {product['oldest_input'] or 'not stated'} · Smokeglint {product['code_version']}"
     )
+
+
+def _around_fires(layers: Layers, region: tuple[float, float, float, float]) -> tuple[float, ...]:
+    """The box about everything that has burned, with a margin of 0.15°; the region where nothing has."""
+    corners = []
+    for field in layers.arrivals:
+        longitude, latitude = _degrees(field)
+        burned = np.isfinite(field.arrival_s)
+        if burned.any():
+            corners.append(
+                (*(a[burned].min() for a in (longitude, latitude)), *(a[burned].max() for a in (longitude, latitude)))
+            )
+    if not corners:
+        return region
+    boxes = np.array(corners)
+    margin = np.array([-0.15, -0.15, 0.15, 0.15])
+    return tuple(np.concatenate([boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)]) + margin)
 
 
 def _draw_targets(axes: Axes, layers: Layers) -> None:

@@ -20,6 +20,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.patheffects import withStroke
 
 
 def footer(attributes: Mapping[str, Any]) -> str:
@@ -42,13 +43,14 @@ def _frame(axes: Axes, lon: np.ndarray, lat: np.ndarray, shown: np.ndarray) -> N
     axes.set_aspect(1 / np.cos(np.radians(lat.mean())))
     axes.set_xlabel("longitude (degrees east)")
     axes.set_ylabel("latitude (degrees north)")
+    axes.locator_params(nbins=6)
     axes.grid(color="0.85", linewidth=0.5)
 
 
 def _detections(axes: Axes, arrival: ArrivalMap, looks: Looks) -> None:
     east, north = arrival.grid.origin_km
     for chosen, style in (
-        (looks.fire, {"s": 5, "color": "black", "label": "active-fire detection"}),
+        (looks.fire, {"s": 1.5, "color": "black", "alpha": 0.45, "label": "active-fire detection"}),
         (
             looks.take((looks.kind == 2) & (looks.probability >= 0.5)),
             {"s": 26, "facecolors": "none", "edgecolors": "#1f4e9c", "label": "burned (GNSS-R)"},
@@ -58,14 +60,14 @@ def _detections(axes: Axes, arrival: ArrivalMap, looks: Looks) -> None:
             lon, lat = arrival.grid.degrees((chosen.x_km + east) * 1e3, (chosen.y_km + north) * 1e3)
             axes.scatter(np.unwrap(lon, period=360), lat, linewidths=0.6, zorder=4, **style)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="lower left", fontsize=8, framealpha=0.9)
+        axes.legend(loc="lower left", fontsize=8, framealpha=0.9, markerscale=3)
 
 
 def draw_map(
     path: Path, arrival: ArrivalMap, looks: Looks, reference: pd.Timestamp, name: str, attributes: Mapping[str, Any]
 ) -> None:
     """Write the PNG: colours for arrival (UTC), labelled isochrones, detections, grey where there was no look."""
-    figure, axes = plt.subplots(figsize=(8.5, 7.5), dpi=110)
+    figure, axes = plt.subplots(figsize=(9.0, 7.0), dpi=110, layout="constrained")
     try:
         x, y = np.meshgrid(arrival.grid.x_m, arrival.grid.y_m)
         lon, lat = arrival.grid.degrees(x, y)
@@ -79,7 +81,7 @@ def draw_map(
         _detections(axes, arrival, looks)
         title = f"Fire arrival time, {name}: {burned.sum() * (arrival.grid.cell_m / 1e3) ** 2:.0f} km² burned"
         axes.set_title(title + (f"\nmind: {', '.join(arrival.flags)}" if arrival.flags else ""), fontsize=12)
-        figure.text(0.01, 0.01, "grey: no look · " + footer(attributes), fontsize=7, color="0.35")
+        figure.supxlabel("grey: no look · " + footer(attributes), fontsize=7, color="0.35")
         figure.savefig(path, metadata={"Software": None})
     finally:
         plt.close(figure)
@@ -96,4 +98,7 @@ def _arrival(
     bar.set_label("arrival time (UTC)")
     if min(hours.shape) > 1 and ticks.size > 1 and float(hours.max()) > float(hours.min()):
         lines = axes.contour(lon, lat, hours, levels=ticks[:-1], colors="0.25", linewidths=0.7, zorder=3)
-        axes.clabel(lines, fmt=lambda level: _clock(reference, float(level)), fontsize=7)
+        labels = axes.clabel(lines, fmt=lambda level: _clock(reference, float(level)), fontsize=8)
+        for label in labels:
+            label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
+            label.set_zorder(5)

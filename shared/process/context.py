@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shared.artifacts.manifest import FileEntry, Product
+from shared.artifacts.manifest import FileEntry, Product, combine
 from shared.artifacts.reference import ArtifactRef
 from shared.artifacts.store import ArtifactStore, describe_file
 from shared.errors import ContractError, SmokeglintError
@@ -58,9 +58,17 @@ class JobContext:
 
     # Outputs
 
-    def product_attributes(self) -> dict[str, Any]:
-        """What every product must carry; the writers below put it into tables and JSON documents by themselves."""
-        return self._product.attributes()
+    def product_attributes(self, sources: Sequence[ArtifactRef] | None = None) -> dict[str, Any]:
+        """What every product must carry; the writers below put it into tables and JSON documents by themselves.
+
+        ``sources`` names the inputs that a file was made from, where that is not all of them.
+        """
+        return (self._product if sources is None else self._product_from(sources)).attributes()
+
+    def _product_from(self, sources: Sequence[ArtifactRef]) -> Product:
+        located = [self._store.open_reference(reference)[0] for reference in sources]
+        known = [product for product in map(self._store.product_of, located) if product is not None]
+        return combine(self._product.process, self._product.code_version, self._product.model_version, known)
 
     def mark_simulated(self, share: float = 1.0) -> None:
         """State that this process itself simulates; before the first output, so that every file says so."""
@@ -69,10 +77,13 @@ class JobContext:
         share = max(share, self._product.simulated_share)
         self._product = self._product.model_copy(update={"simulated": True, "simulated_share": round(share, 4)})
 
-    def new_file(self, name: str) -> Path:
-        """A path to write an output to; ``ref`` then gives its reference."""
+    def new_file(self, name: str, sources: Sequence[ArtifactRef] | None = None) -> Path:
+        """A path to write an output to; ``ref`` then gives its reference. ``sources``: see ``product_attributes``."""
         path = self._staging / name
         self._outputs[name] = path
+        if sources is not None:
+            attributes = self.product_attributes(sources)
+            self.describe(name, **{key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")})
         return path
 
     def describe(self, name: str, **own: Any) -> None:
@@ -84,11 +95,14 @@ class JobContext:
         entry = describe_file(self._outputs[name])
         return ArtifactRef(href=name, type=entry.type, sha256=entry.sha256)
 
-    def write_table(self, name: str, frame: pd.DataFrame, contract: str) -> ArtifactRef:
-        """Check a table against its contract and stage it as Parquet with the product attributes."""
+    def write_table(
+        self, name: str, frame: pd.DataFrame, contract: str, sources: Sequence[ArtifactRef] | None = None
+    ) -> ArtifactRef:
+        """Check a table against its contract and stage it as Parquet with the product attributes (of ``sources``)."""
         from shared.contracts import schema, tables  # pandas stays in the worker
 
-        schema.write_table(self.new_file(name), frame, tables.ALL[contract], self.product_attributes())
+        path = self.new_file(name, sources)
+        schema.write_table(path, frame, tables.ALL[contract], self.product_attributes(sources))
         return self.ref(name)
 
     def write_json(self, name: str, document: dict[str, Any]) -> ArtifactRef:
