@@ -23,7 +23,7 @@ def new_correlation_id() -> str:
 
 def accept_correlation_id(offered: str | None) -> str:
     """The offered id if it is a harmless word, else a fresh one: what enters the log must not forge lines."""
-    return offered if offered and _ALLOWED.match(offered) else new_correlation_id()
+    return offered if offered and _ALLOWED.fullmatch(offered) else new_correlation_id()
 
 
 def configure_logging(service: str, level: str = "INFO") -> None:

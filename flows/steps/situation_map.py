@@ -133,7 +133,7 @@ def _draw_targets(axes: Axes, layers: Layers) -> None:
         part = targets[mask]
         axes.scatter(part.geometry.x, part.geometry.y, label=f"{label} ({len(part)})", linewidths=0.8, **style)
     axes.set_title("Targets, and what was recorded in raw-IF mode")
-    axes.legend(loc="upper left", fontsize=8, framealpha=0.9)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, fontsize=8)
 
 
 def _draw_fires(figure: Figure, axes: Axes, layers: Layers, inputs: SituationInputs) -> None:
@@ -157,7 +157,7 @@ def _draw_fires(figure: Figure, axes: Axes, layers: Layers, inputs: SituationInp
         for geometry in outline.geometry:
             geopandas.GeoSeries([polygonal(geometry)]).boundary.plot(ax=axes, color="black", linewidth=0.9)
         handles.append(Line2D([], [], color="black", lw=0.9, label="last mapped perimeter"))
-    axes.legend(handles=handles, loc="upper left", fontsize=8, framealpha=0.9)
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3, fontsize=8)
     axes.set_title("Fires: arrival time, burned area, detections")
 
 

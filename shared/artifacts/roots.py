@@ -59,7 +59,10 @@ class Roots:
 
         Raises ForbiddenReferenceError if it leads outside every root, MissingArtifactError if there is no such file.
         """
-        location = self._resolve_local(href) if self._means_local(href) else self._resolve_remote(href)
+        try:
+            location = self._resolve_local(href) if self._means_local(href) else self._resolve_remote(href)
+        except (ValueError, RuntimeError) as error:  # no URL at all, a null byte, a loop of symlinks
+            raise self._forbidden(href) from error
         if not location.fs.isfile(location.path):
             raise MissingArtifactError(
                 f"There is no file '{href}'.",

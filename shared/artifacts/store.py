@@ -37,7 +37,7 @@ class StepAddress:
     def __post_init__(self) -> None:
         for name in ("case", "cycle", "step", "key"):
             value = getattr(self, name)
-            if not _SEGMENT.match(value):
+            if not _SEGMENT.fullmatch(value):  # match would let a closing newline pass
                 raise DomainError(
                     f"'{value}' cannot be the name of a {name}.",
                     field=name,
@@ -114,7 +114,7 @@ class ArtifactStore:
             folder = Path(self._root) / STAGING / owner / name
             folder.mkdir(parents=True, exist_ok=True)
         else:
-            folder = Path(tempfile.mkdtemp(prefix=f"smokeglint-{owner}-"))
+            folder = Path(tempfile.mkdtemp(prefix=_prefix(owner, name)))
         try:
             yield folder
         finally:
@@ -122,9 +122,11 @@ class ArtifactStore:
 
     def discard(self, owner: str, name: str) -> None:
         """Remove the staging folder of a job whose worker was killed."""
-        folder = posixpath.join(self._root, STAGING, owner, name)
-        if self._fs.exists(folder):
-            self._fs.rm(folder, recursive=True)
+        if is_local(self.roots.artifact_root):
+            shutil.rmtree(Path(self._root) / STAGING / owner / name, ignore_errors=True)
+        else:
+            for folder in Path(tempfile.gettempdir()).glob(_prefix(owner, name) + "*"):
+                shutil.rmtree(folder, ignore_errors=True)
 
     def commit(self, address: StepAddress, files: dict[str, Path], manifest: Manifest) -> Manifest:
         """Move staged files into place, the manifest last. Until it is there, the step is not done."""
@@ -189,6 +191,11 @@ class ArtifactStore:
             return Manifest.model_validate_json(fs.cat_file(path))
         except ValidationError:
             return None
+
+
+def _prefix(owner: str, name: str) -> str:
+    """How the temporary folder of a job begins where the store is not on this machine."""
+    return f"smokeglint-{owner}-{name}-"
 
 
 def describe_file(path: Path, **own: Any) -> FileEntry:

@@ -107,7 +107,7 @@ def read_netcdf(path: str | Path, schema: GridSchema | None = None, *, decode_ti
     try:
         with xr.open_dataset(path, engine="netcdf4", decode_times=decode_times) as opened:
             dataset = opened.load()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:  # a damaged chunk is a RuntimeError of netCDF4
         name = schema.name if schema else Path(path).name
         raise ContractError(f"Grid '{name}' cannot be read as netCDF: {error}", field=name) from error
     return schema.check(dataset) if schema else dataset

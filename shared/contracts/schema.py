@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Number
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+import shapely
 
 from shared.errors import ContractError
 
@@ -64,6 +66,9 @@ class TableSchema:
                 accepted=", ".join(c.name for c in self.columns if c.required),
             )
         present = [c for c in self.columns if c.name in frame.columns]
+        for column in present:
+            if list(frame.columns).count(column.name) > 1:
+                raise self._fault(column, None, None, "stands there twice")
         coerced = {column.name: self._coerce(column, frame[column.name]) for column in present}
         # Index and all: a frame that was filtered or sorted must not pair its further columns with other rows.
         extra = {str(name): frame[name].reset_index(drop=True) for name in frame.columns if name not in coerced}
@@ -143,10 +148,13 @@ def _accepted(column: Column) -> str:
 
 
 def _check_positions(schema: TableSchema, column: Column, values: pd.Series[Any]) -> None:
-    bounds = geopandas.GeoSeries(values).bounds.to_numpy()
-    empty = values.isna().to_numpy()
+    shapes = values.to_numpy()
+    bounds = shapely.bounds(shapes)
     inside = (bounds[:, 0] >= -180) & (bounds[:, 2] <= 180) & (bounds[:, 1] >= -90) & (bounds[:, 3] <= 90)
-    bad = ~inside & ~empty  # an empty or NaN position has NaN bounds and so is not inside
+    # Empty shapes have NaN bounds and so are not inside; bounds pass over a NaN vertex among others, so ask for each.
+    vertices, owner = shapely.get_coordinates(shapes, return_index=True)
+    inside[owner[~np.isfinite(vertices).all(axis=1)]] = False
+    bad = ~inside & ~shapely.is_missing(shapes)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         raise schema._fault(column, row, values.iloc[row], f"is {values.iloc[row]} in row {row}")
@@ -157,6 +165,9 @@ def _as_integer(values: pd.Series[Any], dtype: str) -> pd.Series[Any]:
     known = numbers.notna()
     if not np.all(np.asarray(numbers[known], dtype=np.float64) % 1 == 0):
         raise ValueError("not whole numbers")
+    limits = np.iinfo(dtype)  # astype would wrap around without a word
+    if known.any() and not limits.min <= int(numbers[known].min()) <= int(numbers[known].max()) <= limits.max:
+        raise ValueError(f"numbers beyond {limits.min}..{limits.max}")
     chosen: Any = dtype if known.all() else dtype.capitalize()  # pandas' nullable integers
     whole: pd.Series[Any] = numbers.astype(chosen)
     return whole
@@ -185,9 +196,16 @@ def _as_bool(values: pd.Series[Any]) -> pd.Series[Any]:
 
 
 def _as_time(values: pd.Series[Any]) -> pd.Series[Any]:
-    if pd.api.types.is_numeric_dtype(values):
+    hidden = values.dtype == object and values.map(lambda value: isinstance(value, Number)).any()
+    if hidden or pd.api.types.is_numeric_dtype(values):
         raise ValueError("numbers are not times: give timestamps in UTC")
     return pd.to_datetime(values, utc=True).astype("datetime64[ms, UTC]")
+
+
+def _as_geometry(values: pd.Series[Any]) -> pd.Series[Any]:
+    shapes = geopandas.GeoSeries(values)
+    located: pd.Series[Any] = shapes.set_crs("EPSG:4326") if shapes.crs is None else shapes.to_crs("EPSG:4326")
+    return located
 
 
 _COERCERS: Mapping[str, Any] = {
@@ -197,7 +215,7 @@ _COERCERS: Mapping[str, Any] = {
     "string": _as_text,
     "bool": _as_bool,
     "time": _as_time,
-    "geometry": lambda values: values,
+    "geometry": _as_geometry,
 }
 
 
@@ -240,7 +258,11 @@ def read_table(path: str | Path, schema: TableSchema) -> pd.DataFrame:
     geo = json.loads((table.schema.metadata or {}).get(b"geo", b"{}"))
     crs = geo.get("columns", {}).get(name, {}).get("crs")
     frame = table.to_pandas()
-    frame[name] = geopandas.GeoSeries.from_wkb(frame[name], crs=crs or "EPSG:4326").to_crs("EPSG:4326")
+    try:
+        frame[name] = geopandas.GeoSeries.from_wkb(frame[name], crs=crs or "EPSG:4326").to_crs("EPSG:4326")
+    except (TypeError, ValueError, shapely.GEOSException) as error:
+        message = f"Table '{schema.name}', column '{name}' does not hold WKB geometry: {error}"
+        raise ContractError(message, field=name, accepted="GeoParquet with WKB encoding") from error
     return schema.check(frame)
 
 

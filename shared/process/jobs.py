@@ -77,6 +77,14 @@ class JobRegister:
 
         A key is freed by a job that failed or was dismissed. ConflictError: the key was used for another body.
         """
+        try:
+            return self._submit(process, inputs, body_hash, idempotency_key, correlation_id)
+        except sa.exc.IntegrityError:  # another request took the key in between: now its job is found
+            return self._submit(process, inputs, body_hash, idempotency_key, correlation_id)
+
+    def _submit(
+        self, process: str, inputs: Mapping[str, Any], body_hash: str, idempotency_key: str | None, correlation_id: str
+    ) -> tuple[Job, bool]:
         with self._engine.begin() as connection:
             if idempotency_key:
                 earlier = self._by_key(connection, idempotency_key, body_hash)
@@ -135,6 +143,11 @@ class JobRegister:
         change = sa.update(_jobs).where(_jobs.c.id == job_id, _jobs.c.status.not_in(FINAL))
         with self._engine.begin() as connection:
             return connection.execute(change.values(status=status, updated=_now(), **encoded)).rowcount > 0
+
+    def free_key(self, job_id: str) -> None:
+        """Forget the idempotency key of a job, so that the same request makes a new one."""
+        with self._engine.begin() as connection:
+            connection.execute(sa.update(_jobs).where(_jobs.c.id == job_id).values(idempotency_key=None))
 
     def recover(self, problem: Mapping[str, Any]) -> list[Job]:
         """After a restart: running jobs have failed with ``problem``; the queued ones are returned, oldest first."""

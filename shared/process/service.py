@@ -82,10 +82,13 @@ class Service:
         wanted = self._wanted(process, request)
         inputs = execution.validate_inputs(process, request.inputs)
         step = execution.resolve_step(process, inputs, self.store, self._version)
-        encoded = inputs.model_dump(mode="json")
-        job, is_new = self.jobs.submit(process_id, encoded, body_hash(process_id, body), key, correlation)
+        done = execution.finished_outputs(step, self.store)
+        request_of = (process_id, inputs.model_dump(mode="json"), body_hash(process_id, body), key, correlation)
+        job, is_new = self.jobs.submit(*request_of)
+        if not is_new and job.status == "successful" and done is None:
+            self.jobs.free_key(job.id)  # the register remembers a success, but the store, which decides, has lost it
+            job, is_new = self.jobs.submit(*request_of)
         if is_new:
-            done = execution.finished_outputs(step, self.store)
             if done is None:
                 self.pool.submit(job)
             else:

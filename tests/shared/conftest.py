@@ -18,7 +18,7 @@ from shared.settings import ServiceSettings
 sys.path.insert(0, str(Path(__file__).parent))  # the worker imports toy_processes by name, too
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def targets() -> geopandas.GeoDataFrame:
     """Two targets, one of each kind."""
     return geopandas.GeoDataFrame(
@@ -35,15 +35,15 @@ def targets() -> geopandas.GeoDataFrame:
     )
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An artifact root that holds a targets table at ``case/targets.parquet``."""
-    folder = tmp_path / "artifacts"
+    folder = tmp_path_factory.mktemp("root") / "artifacts"
     folder.mkdir()
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def targets_file(root: Path, targets: geopandas.GeoDataFrame) -> Path:
     path = root / "case" / "targets.parquet"
     path.parent.mkdir()
@@ -51,12 +51,11 @@ def targets_file(root: Path, targets: geopandas.GeoDataFrame) -> Path:
     return path
 
 
-@pytest.fixture
-def toy(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
-    """The toy service with one real worker process."""
+@pytest.fixture(scope="module")
+def toy(root: Path) -> Iterator[TestClient]:
+    """The toy service with one real worker process, shared by the tests of a module: starting one takes seconds."""
     from toy_processes import PROCESSES
 
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     app = create_app("toy", "Toy", PROCESSES, module="toy_processes", settings=ServiceSettings(artifact_root=str(root)))
     with TestClient(app, raise_server_exceptions=False) as client:
         yield client
