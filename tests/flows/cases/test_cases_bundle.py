@@ -29,7 +29,7 @@ def test_reads_back_what_was_written(tiny: Case) -> None:
     case = read_case(tiny.folder)
     assert case == tiny
     assert case.name == "simulated-tiny"
-    assert case.first_cutoff == datetime(2025, 9, 1, tzinfo=UTC)
+    assert case.first_cutoff == datetime(2025, 9, 1, 12, tzinfo=UTC)
     assert case.cutoff(2) == datetime(2025, 9, 2, tzinfo=UTC)
     assert case.cutoff(3, cycle_hours=6) == datetime(2025, 9, 1, 12, tzinfo=UTC)
 
@@ -46,7 +46,7 @@ def test_an_unknown_name_lists_the_known_ones(tiny: Case) -> None:
         ("cycles = 2", "cycles = 0", "case.cycles"),
         ("cycles = 2", "cycles = true", "case.cycles"),
         ("region = [-110.4", "region = [110.4", "case.region"),
-        ('first_cutoff = "2025-09-01T00:00:00Z"', 'first_cutoff = "2025-09-01T00:00:00"', "case.first_cutoff"),
+        ('first_cutoff = "2025-09-01T12:00:00Z"', 'first_cutoff = "2025-09-01T12:00:00"', "case.first_cutoff"),
         ("simulated = true\nregion", 'simulated = "yes"\nregion', "case.simulated"),
         ('fuels = "fuels.nc"', 'fuel = "fuels.nc"', "fuels"),
         ('fuels = "fuels.nc"', 'fuels = "../fuels.nc"', "inputs.fuels"),

@@ -20,9 +20,9 @@ from shared.errors import DomainError
 
 
 def test_detections_by_delivery_not_by_overpass(tiny: Case) -> None:
-    cutoff = tiny.first_cutoff
-    known = detections_known_at(tiny, cutoff)
     everything = read_table(tiny.path("detections"), tables.DETECTIONS)
+    cutoff = everything.time.iloc[len(everything) // 2].to_pydatetime() + timedelta(minutes=5)  # just after an overpass
+    known = detections_known_at(tiny, cutoff)
     assert (known.delivered_at <= pd.Timestamp(cutoff)).all()
     seen_but_late = (everything.time <= pd.Timestamp(cutoff)) & (everything.delivered_at > pd.Timestamp(cutoff))
     assert seen_but_late.any()

@@ -76,7 +76,7 @@ def test_forecast_error_grows_with_lead(tiny: Case) -> None:
 
 def test_issues_every_six_hours_cover_short_cycles(tiny: Case) -> None:
     with xr.open_dataset(tiny.path("weather_forecast")) as forecast:
-        assert forecast.issue.values[0] == np.datetime64("2025-09-01T00:00")
+        assert forecast.issue.values[0] == np.datetime64("2025-09-01T12:00")
         assert set(np.diff(forecast.issue.values)) == {np.timedelta64(6, "h")}
         assert forecast.issue.values[-1] == np.datetime64("2025-09-03T00:00")
 
@@ -102,7 +102,7 @@ def test_surface_covers_the_weeks_before_and_both_cycles(tiny: Case) -> None:
     with xr.open_dataset(tiny.path("surface")) as surface:
         assert surface.soil_moisture.dims == ("time", "latitude", "longitude")
         assert surface.burn_time.dims == ("latitude_burn", "longitude_burn")
-        assert surface.time.values[0] == np.datetime64("2025-08-11")
+        assert surface.time.values[0] == np.datetime64("2025-08-11T12:00")
         assert surface.time.values[-1] >= np.datetime64("2025-09-03")
         burned = surface.burn_time.values[np.isfinite(surface.burn_time.values)]
         reference = pd.Timestamp(surface.burn_time.attrs["reference_time"])
@@ -115,7 +115,7 @@ def test_surface_covers_the_weeks_before_and_both_cycles(tiny: Case) -> None:
 
 def test_fuels_obey_their_contract(tiny: Case) -> None:
     fuels = read_netcdf(tiny.path("fuels"), FUELS)
-    assert fuels.attrs["state_time"] == "2025-09-01T00:00:00Z"
+    assert fuels.attrs["state_time"] == "2025-09-01T12:00:00Z"
     assert ((fuels.ndvi >= fuels.ndvi_min) & (fuels.ndvi <= fuels.ndvi_max)).all()
     assert ((fuels.kbdi >= 0) & (fuels.kbdi <= 203.2)).all()
     assert fuels.mask_code.dtype == np.uint8
