@@ -30,8 +30,8 @@ def test_reads_back_what_was_written(tiny: Case) -> None:
     assert case == tiny
     assert case.name == "simulated-tiny"
     assert case.first_cutoff == datetime(2025, 9, 1, 12, tzinfo=UTC)
-    assert case.cutoff(2) == datetime(2025, 9, 2, tzinfo=UTC)
-    assert case.cutoff(3, cycle_hours=6) == datetime(2025, 9, 1, 12, tzinfo=UTC)
+    assert case.cutoff(2) == datetime(2025, 9, 2, 12, tzinfo=UTC)
+    assert case.cutoff(3, cycle_hours=6) == datetime(2025, 9, 2, tzinfo=UTC)
 
 
 def test_an_unknown_name_lists_the_known_ones(tiny: Case) -> None:

@@ -78,7 +78,7 @@ def test_issues_every_six_hours_cover_short_cycles(tiny: Case) -> None:
     with xr.open_dataset(tiny.path("weather_forecast")) as forecast:
         assert forecast.issue.values[0] == np.datetime64("2025-09-01T12:00")
         assert set(np.diff(forecast.issue.values)) == {np.timedelta64(6, "h")}
-        assert forecast.issue.values[-1] == np.datetime64("2025-09-03T00:00")
+        assert forecast.issue.values[-1] == np.datetime64("2025-09-03T12:00")
 
 
 def test_rain_wets_the_soil_and_drought_dries_it() -> None:
