@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from datetime import timedelta
 
@@ -17,17 +16,13 @@ CALIBRATION = "calibration"
 
 def import_into_store(runner: Runner, case: Case) -> CaseInputs:
     """The case with references into the store instead of paths."""
-    made = runner.local(IMPORT_CASE, {"folder": str(case.folder), "digest": bundle_digest(case)})
+    files = sorted({*case.inputs.values(), *case.nature.values()})
+    bundle = {
+        "case_file": {"href": (case.folder / CASE_FILE).as_uri()},
+        "files": [{"href": path.as_uri()} for path in files],
+    }
+    made = runner.local(IMPORT_CASE, bundle)
     return CaseInputs(case.name, case.region, case.first_cutoff, made["inputs"], made["nature"])
-
-
-def bundle_digest(case: Case) -> str:
-    """A hash over the names and contents of a bundle's files."""
-    digest = hashlib.sha256()
-    files = {"": case.folder / CASE_FILE, **case.inputs, **case.nature}
-    for name, path in sorted(files.items()):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
 
 
 def calibrate(runner: Runner, case: CaseInputs, days: int, step_s: int, seed: int) -> CaseInputs:

@@ -85,7 +85,7 @@ def _loop(
     logging.getLogger("prefect").setLevel(logging.ERROR)
     from flows.case_run import run_case  # prefect reads its settings when it is imported: not before the server runs
 
-    store = open_store(options.root)
+    store = open_store(options.root, case.folder)
     feedback = frozenset(FEEDBACKS) - frozenset(options.without)
     chosen = profile_of(options.case, options.cycle_hours)
     cycles = options.cycles or case.cycles

@@ -94,10 +94,13 @@ def flow_code_version() -> str:
     return code_version(_FLOWS, _FLOWS.parent / "shared")
 
 
-def open_store(root: Path) -> ArtifactStore:
-    """The artifact store of a run on this machine, cleared of what a killed run left half-done."""
+def open_store(root: Path, case_folder: Path) -> ArtifactStore:
+    """The artifact store of a run on this machine, cleared of what a killed run left half-done.
+
+    The case's own folder may be read as well: it need not lie below the root.
+    """
     from flows.steps import LOCAL_STEPS
 
-    store = ArtifactStore(Roots(str(root)))
+    store = ArtifactStore(Roots(str(root), (str(case_folder),)))
     store.sweep(OWNER, [process.id for process in LOCAL_STEPS])
     return store

@@ -12,8 +12,8 @@ from shared.process import ArtifactRef, JobContext, Process, ProcessInputs, Proc
 
 
 class ImportCaseInputs(ProcessInputs):
-    folder: str = Field(description="folder with case.toml")
-    digest: str = Field(description="hash over the bundle's files, so that a changed bundle is imported anew")
+    case_file: ArtifactRef = Field(description="case.toml, in the folder that it describes")
+    files: list[ArtifactRef] = Field(description="the files that it names, so that a changed one is imported anew")
 
 
 class ImportCaseOutputs(ProcessOutputs):
@@ -24,7 +24,7 @@ class ImportCaseOutputs(ProcessOutputs):
 
 def import_case(inputs: ImportCaseInputs, context: JobContext) -> ImportCaseOutputs:
     """Copy each file under its logical name, with its own provenance in the manifest."""
-    case = read_case(inputs.folder)
+    case = read_case(context.path(inputs.case_file).parent)
     shutil.copyfile(case.folder / CASE_FILE, context.new_file(CASE_FILE))
     return ImportCaseOutputs(
         case_file=context.ref(CASE_FILE),

@@ -77,7 +77,7 @@ def make_plan(
         previous=previous,
     )  # fmt: skip
     made = plan(problem, options or Options(), progress)
-    schedule = schedule_table(problem, made.timeline)
+    schedule = schedule_table(problem, made.timeline, previous)
     progress(88, "replay")
     verdict = judge(schedule, tables, spacecraft, release, previous)
     if not verdict.valid:

@@ -14,16 +14,22 @@ from services.planning.problem import PlanningProblem
 COLUMNS = ("satellite", "start", "end", "command", "image_id", "station", "cycle", "uplink_contact")
 
 
-def schedule_table(problem: PlanningProblem, timeline: Timeline) -> pd.DataFrame:
-    """Rows of the ``schedule`` contract in order of satellite and time; frozen and new downlinks stay apart."""
-    records: list[tuple[int, int, int, str, int | None, str | None]] = []
+Record = tuple[int, int, int, str, int | None, str | None, bool]  # the last: still the previous plan's
+
+
+def schedule_table(problem: PlanningProblem, timeline: Timeline, previous: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Rows of the ``schedule`` contract in order of satellite and time; frozen and new downlinks stay apart.
+
+    Frozen rows keep the ``uplink_contact`` that they had in the ``previous`` schedule.
+    """
+    records: list[Record] = []
     own = problem.images
     for image in timeline.images[~np.isin(timeline.images, problem.frozen_images)]:
-        second = int(own.second[image])
-        records.append((int(own.satellite[image]), second, second + 1, "collect", int(own.image_id[image]), None))
+        second, image_id = int(own.second[image]), int(own.image_id[image])
+        records.append((int(own.satellite[image]), second, second + 1, "collect", image_id, None, False))
     frozen = problem.frozen
     for satellite, second, image_id in zip(frozen.satellite, frozen.second, frozen.image_id, strict=True):
-        records.append((int(satellite), int(second), int(second) + 1, "collect", int(image_id), None))
+        records.append((int(satellite), int(second), int(second) + 1, "collect", int(image_id), None, True))
     for satellite in range(len(problem.satellites)):
         # a run ends where the station changes or where the previous plan's command meets the new one
         key = 2 * timeline.downlink[satellite].astype(np.int64) + (frozen.downlink[satellite] >= 0)
@@ -31,12 +37,26 @@ def schedule_table(problem: PlanningProblem, timeline: Timeline) -> pd.DataFrame
         for begin, end in pairwise(edges):
             station = int(timeline.downlink[satellite, begin])
             if station >= 0:
-                records.append((satellite, int(begin), int(end), "downlink", None, problem.stations[station]))
+                old = bool(frozen.downlink[satellite, begin] >= 0)
+                records.append((satellite, int(begin), int(end), "downlink", None, problem.stations[station], old))
     records.sort(key=lambda record: (record[0], record[1]))
-    return _table(problem, records)
+    table = _table(problem, records)
+    old = np.array([record[6] for record in records], bool)
+    if previous is not None and old.any():
+        table.loc[old, "uplink_contact"] = _earlier_uplinks(table[old], previous)
+    return table
 
 
-def _table(problem: PlanningProblem, records: list[tuple[int, int, int, str, int | None, str | None]]) -> pd.DataFrame:
+def _earlier_uplinks(rows: pd.DataFrame, previous: pd.DataFrame) -> pd.Series:
+    """The uplink of the command of the previous schedule that each row goes on with, by row."""
+    uplinks = []
+    for row in rows.itertuples():
+        before = previous[(previous["satellite"] == row.satellite) & (previous["start"] <= row.start)]
+        uplinks.append(before.sort_values("start")["uplink_contact"].iloc[-1])
+    return pd.Series(uplinks, index=rows.index, dtype="datetime64[ms, UTC]")
+
+
+def _table(problem: PlanningProblem, records: list[Record]) -> pd.DataFrame:
     satellite = np.array([record[0] for record in records], np.int64)
     begin, end = (np.array([record[i] for record in records], np.int64) for i in (1, 2))
     cycle = np.zeros(len(records), np.int32)

@@ -17,7 +17,6 @@ from services.retrieval.simulation.footprint import Strength, strengths, track_b
 from services.retrieval.simulation.looks import looks_table, nominal_looks, raw_if_looks
 from services.retrieval.simulation.maps import LOOK_S, NOISE_FLOOR_W, Link, simulate_maps
 from services.retrieval.simulation.surface import Surface
-from shared.errors import DomainError
 
 EIRP_RANGE_DBW = (26.5, 31.5)  # over the GPS constellation
 EIRP_ERROR_DB = 0.3  # between the true power and the one that level-1 reports
@@ -66,8 +65,6 @@ def simulate_raw_if(specular_points: pd.DataFrame, images: pd.DataFrame, surface
 
 
 def _prepared(specular_points: pd.DataFrame) -> pd.DataFrame:
-    if not len(specular_points):
-        raise DomainError("There is no specular point to simulate.", field="specular_points", accepted="rows")
     looks = looks_table(specular_points)
     track = looks["track"].to_numpy()
     position = (looks["latitude_deg"].to_numpy(), looks["longitude_deg"].to_numpy())

@@ -52,7 +52,7 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, d
 def tiny(services: tuple[Path, dict[str, str]]) -> TinyLoop:
     root, urls = services
     case = build_case("tiny", root)
-    store, profile = open_store(root), profile_of("tiny")
+    store, profile = open_store(root, case.folder), profile_of("tiny")
     loop = TinyLoop(root, urls, case, store, profile, CaseInputs("", case.region, case.first_cutoff, {}, {}), [], [])
     inputs = import_into_store(loop.runner(BUNDLE), case)
     days, step_s = profile.calibration_days, profile.calibration_step_s
