@@ -111,7 +111,9 @@ class _Slot(threading.Thread):
             if self._pool._jobs.update(job.id, "running"):
                 with self._pool._metrics.timing(job.process):
                     self._work(job)
-                self._pool._metrics.count(job.process, self._pool._jobs.get(job.id).status)
+                ended = self._pool._jobs.get(job.id)
+                self._pool._metrics.count(job.process, ended.status)
+                logger().info("job ended", process=job.process, job=job.id, status=ended.status)
             self._pool._finish(job.id)
             self._ensure_worker()  # a killed one is replaced before the next job asks for it
 

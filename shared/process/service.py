@@ -90,6 +90,7 @@ class Service:
             job, is_new = self.jobs.submit(*request_of)
         if is_new:
             if done is None:
+                logger().info("job accepted", process=process_id, job=job.id, key=step.address.key)
                 self.pool.submit(job)
             else:
                 self.jobs.update(job.id, "successful", progress=100.0, message="answered from the store", outputs=done)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import pytest
 
 from flows.catalogue import write_catalogue
 from flows.comparison import local_file, read_reference
+from flows.services import SERVICES
 from shared.contracts import grids, tables
 from shared.contracts.schema import read_attributes
 
@@ -126,6 +128,15 @@ def _ancestors(item: pystac.Item) -> set[str]:
                 seen.add(source.id)
                 waiting.append(source)
     return seen
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_one_correlation_id_follows_a_cycle_through_every_service(tiny: TinyLoop, service: str) -> None:
+    log = (tiny.root / ".logs" / f"{service}.log").read_text()
+    lines = [json.loads(line) for line in log.splitlines() if line.startswith("{")]
+    for cycle in tiny.cycles:
+        own = [line["event"] for line in lines if line.get("correlation_id") == f"test-{cycle.label}"]
+        assert {"job accepted", "job ended"} <= set(own), own
 
 
 def test_no_product_holds_an_absolute_path(tiny: TinyLoop) -> None:
