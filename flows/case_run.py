@@ -179,7 +179,8 @@ def _score_one(runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, row: An
         "time": time.isoformat(),
     }
     values = runner.local(SCORE_PERIMETER, scored)["values"]
-    return {"incident_id": row.incident_id, "time": time.isoformat(), "map": arrival["maps"][0], **values}
+    map_of = next(reference for reference in arrival["maps"] if row.incident_id in reference["href"])
+    return {"incident_id": row.incident_id, "time": time.isoformat(), "map": map_of, **values}
 
 
 def _times(case: Case, done: Sequence[CycleProducts]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from flows.steps import ASSEMBLE_INPUTS, EXECUTE, OBSERVED_PLACES, SET_HORIZON, 
 
 Reference = Mapping[str, Any]
 
+SOIL_MEMORY_H = 72  # older soil moisture says little about the day ahead
 KNOWN_INPUTS = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
 FEEDBACKS = {
     "soil-moisture": "soil moisture into pre-fire danger",
@@ -23,7 +24,7 @@ FEEDBACKS = {
     "burned-area-targets": "burned area into active targets",
     "arrival": "arrival front and its uncertainty into active targets",
     "observed": "what was not observed into priorities",
-    "spacecraft": "stored images, battery and commands still in force into the plan",
+    "spacecraft": "stored images and battery into the plan",
 }
 
 
@@ -34,6 +35,7 @@ class LoopSettings:
     cycle_hours: int = 24
     overlap_hours: int = 6
     release_after_h: float = 1.0
+    level1_latency_h: float = 2.0  # from the end of a contact to level-1 data
     target_radius_km: float = 10.0
     access: Mapping[str, Any] = field(default_factory=dict)
     targets: Mapping[str, Any] = field(default_factory=dict)
@@ -101,20 +103,21 @@ def run_cycle(
     steps.update(plan(runner, case, cutoff, given, steps, settings))
     steps.update(observe(runner, case, before, steps, settings))
     steps.update(understand(runner, case, end, before, steps, settings))
-    return CycleProducts(cycle_label(cutoff), cutoff, end, steps, handover(before, steps))
+    return CycleProducts(cycle_label(cutoff), cutoff, end, steps, handover(before, steps, settings))
 
 
 def taken(before: Handover, feedback: frozenset[str]) -> Handover:
-    """The part of a handover that the chosen feedbacks let through to the next plan."""
-    spacecraft = "spacecraft" in feedback
+    """The part of a handover that the chosen feedbacks let through to the next plan.
+
+    The old schedule always passes: its commands are on board and run until the uplink, whether one minds them or not.
+    """
     return Handover(
         soil_moisture=before.soil_moisture if "soil-moisture" in feedback else (),
         burned_area=before.burned_area,
         fire_arrival=before.fire_arrival if "arrival" in feedback else (),
         observed=before.observed if "observed" in feedback else None,
-        schedule=before.schedule if spacecraft else None,
-        as_run=before.as_run if spacecraft else None,
-        spacecraft=before.spacecraft if spacecraft else None,
+        schedule=before.schedule,
+        spacecraft=before.spacecraft if "spacecraft" in feedback else None,
     )
 
 
@@ -241,6 +244,7 @@ def observe(
             "pending_points": before.pending_points,
             "previous_as_run": before.as_run,
             "duration_s": settings.cycle_hours * 3600,
+            "level1_latency_s": round(settings.level1_latency_h * 3600),
         },
     )
     common = {"surface": case.nature["surface"], "seed": settings.seed}
@@ -266,14 +270,15 @@ def understand(
     observations = [case.inputs["level1"]] if "level1" in case.inputs else [steps["simulate-nominal"]["nominal"]]
     if "simulate-raw-if" in steps:
         observations.append(steps["simulate-raw-if"]["raw_if"])
-    cutoff = end - timedelta(hours=settings.cycle_hours)
-    burned_request = {"observations": observations, "baseline": case.baseline, "time_to": end.isoformat()}
-    if "level1" in case.inputs:
-        burned_request["time_from"] = cutoff.isoformat()
-    burned = runner.service("retrieval", "retrieve-burned-area", burned_request)
-    moisture = runner.service(
-        "retrieval", "retrieve-soil-moisture", {"observations": observations, "reference": case.reference}
-    )
+    seen: dict[str, Any] = {"observations": observations}
+    if (
+        "level1" in case.inputs
+    ):  # a file of many days: only this cycle's, and only what had become level-1 data by its end
+        latest = end - timedelta(hours=settings.level1_latency_h)
+        earliest = latest - timedelta(hours=settings.cycle_hours)
+        seen |= {"time_from": earliest.isoformat(), "time_to": latest.isoformat()}
+    burned = runner.service("retrieval", "retrieve-burned-area", {**seen, "baseline": case.baseline})
+    moisture = runner.service("retrieval", "retrieve-soil-moisture", {**seen, "reference": case.reference})
     known = runner.local(
         ASSEMBLE_INPUTS, {"cutoff": end.isoformat(), **{name: case.inputs.get(name) for name in KNOWN_INPUTS}}
     )
@@ -300,10 +305,11 @@ def understand(
     }
 
 
-def handover(before: Handover, steps: Mapping[str, Mapping[str, Any]]) -> Handover:
+def handover(before: Handover, steps: Mapping[str, Mapping[str, Any]], settings: LoopSettings) -> Handover:
     """What the next cycle may start from: products of delivered data and ``as_run``, never the plan's intentions."""
+    remembered = -(-SOIL_MEMORY_H // settings.cycle_hours)
     return Handover(
-        soil_moisture=(*before.soil_moisture, steps["retrieve-soil-moisture"]["soil_moisture"])[-3:],
+        soil_moisture=(*before.soil_moisture, steps["retrieve-soil-moisture"]["soil_moisture"])[-remembered:],
         burned_area=(*before.burned_area, steps["retrieve-burned-area"]["burned_area"]),
         fire_arrival=tuple(steps["infer-fire-arrival"]["fire_arrival"]),
         observed=steps["observed-places"]["observed"],

@@ -23,6 +23,7 @@ REQUIRED_INPUTS = (
     "weather_forecast",
     "fuels",
     "spacecraft",
+    "smap",
 )
 REQUIRED_NATURE = ("surface",)
 

@@ -25,18 +25,24 @@ def sort_points(
 
     Nominal data come down whole at the satellite's next contact and are level-1 data ``level1_latency_s`` later. A
     second of raw-IF data is delivered when its image's downlink is done. A point waits (``pending``) while its nominal
-    data or its stored image have still to come; ``nominal_due`` remembers which of the two it still owes.
+    data or its stored image have still to come; ``nominal_due`` remembers which of the two it still owes, and
+    ``nominal_down_at`` when its nominal data came down, if that was before ``end`` and they were still in processing.
     """
     due = points["nominal_due"] if "nominal_due" in points else pd.Series(True, index=points.index)
     due = due.astype("boolean").fillna(True).astype(bool)
     due &= points["nominal"].astype(bool) if "nominal" in points else True
-    delivered_at = nominal_delivery(points, contacts) + pd.Timedelta(seconds=level1_latency_s)
-    arrived = due & (delivered_at <= end)
+    down_at = nominal_delivery(points, contacts)
+    if "nominal_down_at" in points:
+        down_at = points["nominal_down_at"].astype(down_at.dtype).fillna(down_at)
+    arrived = due & (down_at + pd.Timedelta(seconds=level1_latency_s) <= end)
     down = _in_images(points, as_run[as_run["status"] == "downlinked"])
     aboard = _in_images(points, as_run[as_run["status"] == "collected"])
     owing = due & ~arrived
-    pending = points[owing | aboard].assign(nominal_due=owing[owing | aboard])
-    plain = points.drop(columns=["nominal_due"], errors="ignore")
+    waits = owing | aboard
+    pending = points[waits].assign(
+        nominal_due=owing[waits], nominal_down_at=down_at[waits].where(down_at[waits] <= end)
+    )
+    plain = points.drop(columns=["nominal_due", "nominal_down_at"], errors="ignore")
     return SortedPoints(plain[arrived], plain[down], pending)
 
 

@@ -50,6 +50,7 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
     end = pd.Timestamp(spacecraft.horizon_start) + pd.Timedelta(seconds=inputs.duration_s)
     earlier = _read_or_empty(context, inputs.previous_as_run, "AS_RUN")
     carried = earlier[earlier["status"] == "collected"]
+    contacts = context.read_table(inputs.contacts, "CONTACTS")
     done = execute_schedule(
         context.read_table(inputs.schedule, "SCHEDULE"),
         carried,
@@ -57,12 +58,12 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
         spacecraft,
         inputs.duration_s,
         inputs.loss_share,
+        set(contacts["satellite"]),
     )
     points = context.read_table(inputs.specular_points, "SPECULAR_POINTS")
     points = points[points["time"] < end]
     if inputs.pending_points is not None:
         points = pd.concat([context.read_table(inputs.pending_points, "SPECULAR_POINTS"), points], ignore_index=True)
-    contacts = context.read_table(inputs.contacts, "CONTACTS")
     sorted_points = delivery.sort_points(points, done.as_run, contacts, end, inputs.level1_latency_s)
     horizon = {"horizon_start": end.to_pydatetime(), "satellites": {n: s.model_dump() for n, s in done.states.items()}}
     following = spacecraft.at_horizon(horizon)
@@ -74,7 +75,7 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
         nominal_points=context.write_table("nominal_points.parquet", sorted_points.nominal, "SPECULAR_POINTS"),
         raw_if_points=context.write_table("raw_if_points.parquet", sorted_points.raw_if, "SPECULAR_POINTS"),
         pending_points=context.write_table("pending_points.parquet", sorted_points.pending, "SPECULAR_POINTS"),
-        collected=len(as_run),
+        collected=int((as_run["start"] >= pd.Timestamp(spacecraft.horizon_start)).sum()),
         downlinked=int(counts.get("downlinked", 0)),
         lost=int(counts.get("lost", 0)),
         stored=int(counts.get("collected", 0)),

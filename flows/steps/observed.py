@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from pydantic import Field
 
 from shared.process import ArtifactRef, JobContext, Process, ProcessInputs, ProcessOutputs
@@ -25,6 +27,8 @@ def observed_places(inputs: ObservedPlacesInputs, context: JobContext) -> Observ
     Nominal observations are everywhere every day; what the planner spends storage on is raw IF, so that counts.
     """
     import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
     points = context.read_table(inputs.burned_area, "BURNED_AREA")
     points = points[points["mode"] == "raw-if"]
@@ -37,7 +41,9 @@ def observed_places(inputs: ObservedPlacesInputs, context: JobContext) -> Observ
         places[name] = ((places[name] / LATTICE_DEG).round() * LATTICE_DEG).round(6)
     places["time"] = places["time"].astype("datetime64[ms, UTC]")
     latest = places.groupby(["longitude_deg", "latitude_deg"], as_index=False)["time"].max()
-    latest.to_parquet(context.new_file("observed.parquet"), index=False)
+    made_by = {b"smokeglint": json.dumps(context.product_attributes(), sort_keys=True).encode()}
+    table = pa.Table.from_pandas(latest, preserve_index=False).replace_schema_metadata(made_by)
+    pq.write_table(table, context.new_file("observed.parquet"))
     return ObservedPlacesOutputs(observed=context.ref("observed.parquet"), places=len(latest))
 
 

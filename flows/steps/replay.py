@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -31,14 +32,18 @@ def execute_schedule(
     spacecraft: Spacecraft,
     duration_s: int,
     loss_share: float,
+    fleet: Iterable[str] = (),
 ) -> Execution:
     """Execute the first ``duration_s`` seconds after ``spacecraft.horizon_start``.
 
     ``carried`` holds the images still on board from before (contract ``as_run``, status ``collected``). A share of the
     downlinked images is lost in transmission, chosen by a hash of satellite and time, so that it is the same each time.
-    A downlink that the end cuts short starts anew in the next span.
+    A downlink that the end cuts short starts anew in the next span. ``fleet`` names satellites that may have no
+    command: their batteries run on all the same. Images that a satellite holds from before the first cycle (its
+    ``stored_images_initial``) are sent first, and known to nobody here.
     """
-    satellites = sorted(set(schedule["satellite"]) | set(carried["satellite"]) | set(spacecraft.satellites))
+    commanded = set(schedule["satellite"]) | set(carried["satellite"])
+    satellites = sorted(commanded | set(spacecraft.satellites) | set(fleet))
     rows: list[dict[str, Any]] = []
     states = {}
     for name in satellites:
@@ -46,7 +51,8 @@ def execute_schedule(
         images, stored = _run_images(name, commands, carried[carried["satellite"] == name], spacecraft, loss_share)
         rows += images
         charge = battery_after(commands, eclipses[eclipses["satellite"] == name], spacecraft, name, duration_s)
-        states[name] = SatelliteState(stored_images_initial=stored, battery_initial_wh=round(charge, 6))
+        state = {"stored_images_initial": stored, "battery_initial_wh": round(charge, 6)}
+        states[name] = spacecraft.satellites.get(name, SatelliteState()).model_copy(update=state)
     as_run = pd.DataFrame(rows, columns=AS_RUN_COLUMNS).sort_values(["satellite", "start"], ignore_index=True)
     return Execution(as_run, states)
 
@@ -64,10 +70,10 @@ def _commands(schedule: pd.DataFrame, satellite: str, start: datetime, duration_
 def _run_images(
     satellite: str, commands: pd.DataFrame, carried: pd.DataFrame, spacecraft: Spacecraft, loss_share: float
 ) -> tuple[list[dict[str, Any]], int]:
-    queue: deque[dict[str, Any]] = deque(
-        _image(satellite, row.start, row.end, row.image_id) for row in carried.sort_values("start").itertuples()
-    )
-    rows: list[dict[str, Any]] = list(queue)
+    rows = [_image(satellite, row.start, row.end, row.image_id) for row in carried.sort_values("start").itertuples()]
+    unknown = (spacecraft.for_satellite(satellite).stored_images_initial or 0) - len(rows)
+    before = pd.Timestamp(spacecraft.horizon_start)
+    queue: deque[dict[str, Any]] = deque([_image(satellite, before, before, -1) for _ in range(max(unknown, 0))] + rows)
     progress_s = 0
     for command in commands.itertuples():
         if command.command == "collect":

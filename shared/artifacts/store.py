@@ -129,7 +129,13 @@ class ArtifactStore:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def commit(self, address: StepAddress, files: dict[str, Path], manifest: Manifest) -> Manifest:
-        """Move staged files into place, the manifest last. Until it is there, the step is not done."""
+        """Move staged files into place, the manifest last. Until it is there, the step is not done.
+
+        A step that another worker has finished meanwhile is left as it is: references to it are already in use.
+        """
+        finished = self.load(address)
+        if finished is not None:
+            return finished
         folder = self._folder(address)
         self._fs.makedirs(folder, exist_ok=True)
         target = posixpath.join(folder, MANIFEST)

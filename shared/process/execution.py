@@ -74,7 +74,7 @@ def run_step(step: Step, store: ArtifactStore, owner: str, job_id: str, report: 
             outputs=outputs.model_dump(mode="json"),
             files=context.entries(),
         )
-        store.commit(step.address, context.outputs, manifest)
+        manifest = store.commit(step.address, context.outputs, manifest)
     return _outputs(step.address, store, manifest)
 
 

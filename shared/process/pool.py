@@ -57,7 +57,7 @@ class WorkerPool:
     @property
     def ready(self) -> bool:
         """Whether a worker has loaded its models."""
-        return any(slot.ready for slot in self._slots)
+        return any(slot.ready and slot.is_alive() for slot in self._slots)
 
     @property
     def queued(self) -> int:
@@ -106,16 +106,25 @@ class _Slot(threading.Thread):
 
     def run(self) -> None:
         self._ensure_worker()
-        while (job := self._pool._take()) is not None:
+        while (job := self._pool._take()) is not None and not self._stopping:
             correlation_id.set(job.correlation_id)
-            if self._pool._jobs.update(job.id, "running"):
-                with self._pool._metrics.timing(job.process):
-                    self._work(job)
-                ended = self._pool._jobs.get(job.id)
-                self._pool._metrics.count(job.process, ended.status)
-                logger().info("job ended", process=job.process, job=job.id, status=ended.status)
-            self._pool._finish(job.id)
-            self._ensure_worker()  # a killed one is replaced before the next job asks for it
+            try:
+                self._serve(job)
+            except Exception as error:  # a full disk or a locked register must not end the slot, which no one restarts
+                logger().error("job lost by its slot", process=job.process, job=job.id, error=repr(error))
+            finally:
+                self._pool._finish(job.id)
+            if not self._stopping:
+                self._ensure_worker()  # a killed one is replaced before the next job asks for it
+
+    def _serve(self, job: Job) -> None:
+        if not self._pool._jobs.update(job.id, "running"):
+            return
+        with self._pool._metrics.timing(job.process):
+            self._work(job)
+        ended = self._pool._jobs.get(job.id)
+        self._pool._metrics.count(job.process, ended.status)
+        logger().info("job ended", process=job.process, job=job.id, status=ended.status)
 
     def stop(self) -> None:
         self._stopping = True

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import anyio
+import anyio.to_thread
 from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import JSONResponse, Response
@@ -73,7 +75,8 @@ async def execute(request: Request, process_id: str) -> Response:
     answer = await run_in_threadpool(service.execute, process_id, body, key, correlation_id.get())
     if "respond-async" in request.headers.get("Prefer", ""):
         return _accepted(request, answer)
-    return JSONResponse(await run_in_threadpool(service.wait, answer))
+    # Those who wait get threads of their own: they must not keep others from asking, or from dismissing a job.
+    return JSONResponse(await anyio.to_thread.run_sync(service.wait, answer, limiter=service.waiting))
 
 
 def _accepted(request: Request, answer: Answer) -> Response:
@@ -127,7 +130,7 @@ def dismiss(request: Request, job_id: str) -> dict[str, Any]:
 
 
 @router.get("/healthz", summary="Whether the service is alive", tags=["operations"])
-def healthz() -> dict[str, str]:
+async def healthz() -> dict[str, str]:
     return {"status": "alive"}
 
 

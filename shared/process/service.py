@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import anyio
 from pydantic import BaseModel, ConfigDict, Field
 
 from shared.artifacts.store import ArtifactStore
@@ -17,6 +18,8 @@ from shared.process.pool import WorkerPool
 from shared.process.problem import problem
 from shared.settings import ServiceSettings
 from shared.telemetry import logger
+
+_WAITING = 100  # synchronous requests that wait at once; further ones wait for a place
 
 
 class ExecuteRequest(BaseModel):
@@ -51,6 +54,7 @@ class Service:
         self.pool = WorkerPool(
             name, module, settings, self.jobs, self.metrics, lambda job_id: self.store.discard(name, job_id)
         )
+        self.waiting = anyio.CapacityLimiter(_WAITING)
         self.metrics.watch_queue(lambda: self.pool.queued)
 
     def start(self) -> None:

@@ -120,8 +120,16 @@ def test_without_its_manifest_a_step_is_not_done(store: ArtifactStore) -> None:
     assert store.load(ADDRESS) is None
 
 
+def test_a_step_that_another_worker_finished_stays_as_it_is(store: ArtifactStore) -> None:
+    first = commit(store)
+    assert commit(store, content={"a.txt": b"new", "b.json": b"[]"}) == first
+    assert store.load(ADDRESS) == first
+    assert store._fs.cat_file(f"{folder_of(store)}/a.txt") == CONTENT["a.txt"]
+
+
 def test_a_commit_cut_short_leaves_no_manifest(store: ArtifactStore, monkeypatch: pytest.MonkeyPatch) -> None:
     commit(store)
+    store._fs.pipe_file(f"{folder_of(store)}/b.json", b"damaged")
     put, seen = store._put, []
 
     def fail_at_second(staged: Path, target: str) -> None:

@@ -71,9 +71,12 @@ def test_killed_runs_resume_and_end_with_the_same_bytes(tiny: TinyLoop, tmp_path
     root = tmp_path / "artifacts"
     for word in KILLED_IN:
         kill_when_shown(start(root), word)
+    finished = {path: path.stat().st_mtime_ns for path in (root / "simulated-tiny").rglob("manifest.json")}
+    assert len(finished) > 20
     done = start(root)
     output, _ = done.communicate(timeout=LIMIT_S)
     assert done.returncode == 0, output
+    assert {path: path.stat().st_mtime_ns for path in finished} == finished, "a finished step was done again"
     assert "Closed 1 flow run(s)" in output, output
 
     expected = artifacts(tiny.root)

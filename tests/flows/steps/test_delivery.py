@@ -48,6 +48,14 @@ def test_pending_points_are_delivered_once_in_the_next_cycle() -> None:
     assert second.pending.empty
 
 
+def test_data_that_are_down_but_in_processing_need_no_further_pass() -> None:
+    """The pass at 23 h brought them down; the next cycle knows only its own passes, of which there are none."""
+    first = sort_points(points(20), images("collected"), CONTACTS, END, 2 * 3600)
+    assert first.nominal.empty
+    second = sort_points(first.pending, images("collected"), CONTACTS.iloc[:0], END + pd.Timedelta(hours=6), 2 * 3600)
+    assert second.nominal["time"].tolist() == [at(20)]
+
+
 def test_raw_if_points_come_with_their_image_and_not_before() -> None:
     recorded = points(1, 2, 3)
     run = pd.concat([images("downlinked", 1), images("collected", 2), images("lost", 3)], ignore_index=True)

@@ -35,7 +35,7 @@ def spacecraft(**changes: Any) -> Spacecraft:
 
 
 def schedule(*rows: tuple[int, int, str]) -> pd.DataFrame:
-    frame = pd.DataFrame(rows, columns=["first", "last", "command"])
+    frame = pd.DataFrame(rows, columns=["first", "last", "command"]).astype({"first": int, "last": int})
     second = pd.Timedelta(seconds=1)
     collects = frame["command"] == "collect"
     made = pd.DataFrame(
@@ -77,6 +77,23 @@ def test_full_storage_loses_what_a_blind_plan_adds() -> None:
     done = execute_schedule(plan, NOTHING_CARRIED, NO_ECLIPSES, spacecraft(), 100, 0.0)
     assert done.as_run["status"].value_counts().to_dict() == {"collected": 3, "lost": 2}
     assert done.states["CYGFM01"].stored_images_initial == 3
+
+
+def test_what_was_on_board_before_the_first_cycle_is_sent_first() -> None:
+    craft = spacecraft(satellites={"CYGFM01": {"stored_images_initial": 2}})
+    plan = schedule((0, 1, "collect"), (10, 18, "downlink"))
+    done = execute_schedule(plan, NOTHING_CARRIED, NO_ECLIPSES, craft, 100, 0.0)
+    assert done.as_run["status"].tolist() == ["collected"], "eight seconds send the two older images"
+    assert done.states["CYGFM01"].stored_images_initial == 1
+
+
+def test_states_keep_what_execution_does_not_change_and_name_idle_satellites() -> None:
+    window = {"start": "2025-09-03T00:00:00Z", "end": "2025-09-03T01:00:00Z"}
+    craft = spacecraft(satellites={"CYGFM01": {"unavailable": [window], "uplink_margin_s": 30}})
+    states = execute_schedule(schedule(), NOTHING_CARRIED, NO_ECLIPSES, craft, 100, 0.0, ["CYGFM07"]).states
+    assert states["CYGFM01"].uplink_margin_s == 30
+    assert len(states["CYGFM01"].unavailable) == 1
+    assert states["CYGFM07"].battery_initial_wh == pytest.approx(85.0 + 100 * 20.0 / 3600)
 
 
 def test_losses_are_the_stated_share_and_the_same_each_time() -> None:
