@@ -149,7 +149,7 @@ class ArtifactStore:
         return manifest
 
     def _put(self, staged: Path, target: str) -> None:
-        if "file" in (self._fs.protocol if isinstance(self._fs.protocol, tuple) else (self._fs.protocol,)):
+        if Location(self._fs, target).local is not None:
             with open(staged, "rb") as stream:
                 os.fsync(stream.fileno())
             staged.chmod(0o644)
