@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -12,6 +11,7 @@ import httpx
 from tenacity import Retrying, retry_if_exception, stop_after_attempt, wait_exponential_jitter
 
 from shared.errors import JobFailedError
+from shared.process.declaration import body_hash
 from shared.telemetry import CORRELATION_HEADER
 
 Progress = Callable[[float, str], None]
@@ -56,7 +56,7 @@ class ProcessClient:
         Raises JobFailedError with the job's problem document, TimeoutError after ``limit_s`` (the job is dismissed).
         """
         body = json.dumps({"inputs": inputs}, sort_keys=True, default=str).encode()
-        key = hashlib.sha256(process.encode() + b"\0" + body).hexdigest()
+        key = body_hash(process, body)
         headers = {"Prefer": "respond-async", "Idempotency-Key": key, "Content-Type": "application/json"}
         job = self._request("POST", f"/processes/{process}/execution", content=body, headers=headers)
         return self._follow(job["jobID"], limit_s, progress)

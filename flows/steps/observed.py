@@ -30,6 +30,8 @@ def observed_places(inputs: ObservedPlacesInputs, context: JobContext) -> Observ
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    from shared.contracts.schema import PRODUCT_KEY
+
     points = context.read_table(inputs.burned_area, "BURNED_AREA")
     points = points[points["mode"] == "raw-if"]
     places = pd.DataFrame(
@@ -41,7 +43,7 @@ def observed_places(inputs: ObservedPlacesInputs, context: JobContext) -> Observ
         places[name] = ((places[name] / LATTICE_DEG).round() * LATTICE_DEG).round(6)
     places["time"] = places["time"].astype("datetime64[ms, UTC]")
     latest = places.groupby(["longitude_deg", "latitude_deg"], as_index=False)["time"].max()
-    made_by = {b"smokeglint": json.dumps(context.product_attributes(), sort_keys=True).encode()}
+    made_by = {PRODUCT_KEY: json.dumps(context.product_attributes(), sort_keys=True).encode()}
     table = pa.Table.from_pandas(latest, preserve_index=False).replace_schema_metadata(made_by)
     pq.write_table(table, context.new_file("observed.parquet"))
     return ObservedPlacesOutputs(observed=context.ref("observed.parquet"), places=len(latest))
