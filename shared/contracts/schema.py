@@ -188,11 +188,11 @@ def _as_text(values: pd.Series[Any]) -> pd.Series[Any]:
 
 
 def _as_bool(values: pd.Series[Any]) -> pd.Series[Any]:
-    if values.dtype == np.bool_ or values.isna().any():
-        return values
-    if not values.isin([0, 1, True, False]).all():
+    known = values.notna()
+    if not values[known].isin([0, 1, True, False]).all():
         raise ValueError("not true or false")
-    return values.astype(bool)
+    chosen: Any = bool if known.all() else "boolean"  # pandas' nullable truth values
+    return values.astype(chosen)
 
 
 def _as_time(values: pd.Series[Any]) -> pd.Series[Any]:

@@ -102,6 +102,11 @@ OPPORTUNITIES = TableSchema(
         Column("incidence_deg", "float64", required=False, minimum=0, maximum=90),
         Column("distance_km", "float64", required=False, minimum=0),
         Column("rx_gain_dbi", "float64", required=False, minimum=-200, maximum=60),
+        # still covered if the satellite runs ahead of or behind its prediction by the stated error; null: not computed
+        Column("covered_ahead", "bool", required=False, nullable=True),
+        Column("covered_behind", "bool", required=False, nullable=True),
+        Column("along_track_error_km", "float64", required=False, nullable=True, minimum=0),
+        Column("pointing", "string", required=False, nullable=True),
     ),
     unique=("image_id", "target_id"),
 )

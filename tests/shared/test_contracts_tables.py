@@ -89,6 +89,10 @@ ROWS: dict[str, dict[str, list[Any]]] = {
         "incidence_deg": [1.0, 2.0, 3.0],
         "distance_km": [0.0, 5.0, 10.0],
         "rx_gain_dbi": [-3.0, 10.0, 14.0],
+        "covered_ahead": [True, False, None],
+        "covered_behind": [False, None, True],
+        "along_track_error_km": [4.2, 0.0, None],
+        "pointing": ["nadir", None, "roll+5"],
     },
     "CONTACTS": {
         "satellite": SATELLITES,
@@ -217,8 +221,9 @@ def test_a_table_comes_back_as_it_was(name: str, tmp_path: Path) -> None:
     found = read_table(tmp_path / "a.parquet", schema)
     assert list(found.columns) == list(ROWS[name])
     for column in schema.columns:
-        nulls = column.kind == "int32" and frame[column.name].isna().any()
-        assert str(found[column.name].dtype) == ("Int32" if nulls else DTYPES[column.kind]), column.name
+        nulls = frame[column.name].isna().any()
+        expected = {"int32": "Int32", "bool": "boolean"}.get(column.kind) if nulls else None
+        assert str(found[column.name].dtype) == (expected or DTYPES[column.kind]), column.name
         assert plain(found[column.name]) == plain(frame[column.name]), column.name
     assert read_attributes(tmp_path / "a.parquet") == {"table": schema.name, "simulated": True, "process": "test"}
 
