@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import multiprocessing
 import queue
@@ -44,11 +45,13 @@ class WorkerPool:
 
     def start(self) -> None:
         """Start the workers; they get warm while the service already answers."""
+        atexit.register(self.stop)  # the interpreter would wait for them for ever
         for slot in self._slots:
             slot.start()
 
     def stop(self) -> None:
         """End the workers; running jobs fail at the next start."""
+        atexit.unregister(self.stop)
         for slot in self._slots:
             slot.stop()
         for _ in self._slots:
@@ -141,11 +144,14 @@ class _Slot(threading.Thread):
         if self._connection is None or self._process is None or not self._process.is_alive():
             self.ready = False
             ours, theirs = _SPAWN.Pipe()
-            process = _SPAWN.Process(target=worker_main, args=(theirs, *self._pool._arguments), daemon=True)
+            # No daemon: those may have no children, and a job may fan out over processes.
+            process = _SPAWN.Process(target=worker_main, args=(theirs, *self._pool._arguments), daemon=False)
             process.start()
             theirs.close()
             with self._lock:
                 self._process, self._connection = process, ours
+                if self._stopping:
+                    process.kill()
             self._await_ready(ours)
         return self._connection
 
