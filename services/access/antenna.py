@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.access.orientation import EARTH_ROTATION_RAD_S
+from services.access.orbits.orientation import EARTH_ROTATION_RAD_S
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.access.antenna import CYGNSS_BEAMS, BeamPair
-from services.access.contacts import Contact, Station, find_contacts
 from services.access.coverage import Coverage, TargetCells, covered_targets, target_cells
-from services.access.eclipses import Eclipse, find_eclipses
-from services.access.elements import ElementSet, name_transmitters, within_age
 from services.access.ellipsoid import to_cartesian
-from services.access.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, Ephemeris, propagate, resample
+from services.access.events.contacts import Contact, Station, find_contacts
+from services.access.events.eclipses import Eclipse, find_eclipses
+from services.access.orbits.elements import ElementSet, name_transmitters, within_age
+from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, Ephemeris, propagate, resample
 from services.access.tracks import Cap, SpecularTrack, specular_track
 from shared.errors import DomainError
 

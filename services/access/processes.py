@@ -56,8 +56,8 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
     import numpy as np
 
     from services.access import prediction, products
-    from services.access.contacts import Station
-    from services.access.elements import read_elements
+    from services.access.events.contacts import Station
+    from services.access.orbits.elements import read_elements
 
     targets = context.read_table(inputs.targets, "TARGETS")
     stations = [

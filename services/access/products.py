@@ -10,9 +10,9 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
-from services.access.elements import ElementSet
 from services.access.ellipsoid import to_geodetic
-from services.access.orientation import orientation_at
+from services.access.orbits.elements import ElementSet
+from services.access.orbits.orientation import orientation_at
 from services.access.prediction import Access, Area, Horizon, SatelliteAccess, step_times
 
 OLD_ELEMENTS_DAYS = 7.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from services.access.antenna import BeamPair, body_axes
 from services.access.ellipsoid import SEMI_MINOR_M
-from services.access.ephemeris import Ephemeris
+from services.access.orbits.ephemeris import Ephemeris
 from services.access.reflection import follow_all
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.access.constellations import transmitter_code
-from services.access.elements import name_transmitters, read_elements, within_age
+from services.access.orbits.constellations import transmitter_code
+from services.access.orbits.elements import name_transmitters, read_elements, within_age
 from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.access.elements import name_transmitters, read_elements
 from services.access.ellipsoid import to_cartesian, to_geodetic
-from services.access.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, propagate, resample
+from services.access.orbits.elements import name_transmitters, read_elements
+from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, propagate, resample
 from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
 from tests.services.access.truth import gps_sp3_distances_km

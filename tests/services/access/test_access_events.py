@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.access.contacts import Station, find_contacts, sine_elevation
-from services.access.crossings import maximum_in, positive_intervals
-from services.access.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_position_itrf
-from services.access.elements import read_elements
 from services.access.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M, to_cartesian
-from services.access.ephemeris import Ephemeris, propagate, resample
-from services.access.orientation import gmst82_rad, orientation_at
+from services.access.events.contacts import Station, find_contacts, sine_elevation
+from services.access.events.crossings import maximum_in, positive_intervals
+from services.access.events.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_position_itrf
+from services.access.orbits.elements import read_elements
+from services.access.orbits.ephemeris import Ephemeris, propagate, resample
+from services.access.orbits.orientation import gmst82_rad, orientation_at
 from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START
 from tests.services.access.truth import gmat_contact_differences_s, gmat_eclipse_differences_s

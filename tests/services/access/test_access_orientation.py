@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from services.access.orientation import (
+from services.access.orbits.orientation import (
     ARCSEC_RAD,
     Orientation,
     gmst82_rad,

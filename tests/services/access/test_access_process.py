@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from services.access.contacts import Station
-from services.access.elements import read_elements
 from services.access.ellipsoid import arc_from_chord_m, to_cartesian
+from services.access.events.contacts import Station
+from services.access.orbits.elements import read_elements
 from services.access.prediction import AccessOptions, Horizon, predict
 from services.access.processes import PROCESSES
 from services.access.products import opportunities_frame, specular_points_frame

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from services.access.antenna import CYGNSS_BEAMS, BeamPair, body_axes
-from services.access.elements import name_transmitters, read_elements
 from services.access.ellipsoid import to_cartesian
-from services.access.ephemeris import Ephemeris, propagate, resample
+from services.access.orbits.elements import name_transmitters, read_elements
+from services.access.orbits.ephemeris import Ephemeris, propagate, resample
 from services.access.reflection import SOLVED, beam_gain_dbi
 from services.access.specular import specular_points
 from services.access.tracks import Cap, SpecularTrack, specular_track

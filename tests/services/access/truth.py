@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.access.contacts import Station, find_contacts
-from services.access.eclipses import find_eclipses
-from services.access.elements import name_transmitters, read_elements
-from services.access.ephemeris import Ephemeris, propagate
-from services.access.orientation import j2000_to_itrf, orientation_at
+from services.access.events.contacts import Station, find_contacts
+from services.access.events.eclipses import find_eclipses
+from services.access.orbits.elements import name_transmitters, read_elements
+from services.access.orbits.ephemeris import Ephemeris, propagate
+from services.access.orbits.orientation import j2000_to_itrf, orientation_at
 
 GPS_MINUS_UTC_S = 18.0
 

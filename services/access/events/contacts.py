@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from services.access.crossings import maximum_in, positive_intervals
 from services.access.ellipsoid import SEMI_MAJOR_M, to_cartesian, to_geodetic, up_vector
-from services.access.ephemeris import Ephemeris
+from services.access.events.crossings import maximum_in, positive_intervals
+from services.access.orbits.ephemeris import Ephemeris
 from shared.errors import DomainError
 
 Array = NDArray[np.float64]

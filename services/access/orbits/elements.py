@@ -12,7 +12,7 @@ from sgp4 import omm
 from sgp4.api import Satrec
 from sgp4.conveniences import sat_epoch_datetime
 
-from services.access.constellations import transmitter_code
+from services.access.orbits.constellations import transmitter_code
 from shared.errors import DomainError
 
 LINE_LENGTH = 69

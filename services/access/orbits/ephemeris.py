@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from sgp4.api import SGP4_ERRORS, SatrecArray
 from sgp4.conveniences import jday_datetime
 
-from services.access.elements import ElementSet
-from services.access.orientation import orientation_at, teme_to_itrf
+from services.access.orbits.elements import ElementSet
+from services.access.orbits.orientation import orientation_at, teme_to_itrf
 from shared.errors import DomainError
 
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from services.access.contacts import sample_times
-from services.access.crossings import positive_intervals
 from services.access.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
-from services.access.ephemeris import Ephemeris
-from services.access.orientation import Orientation, gmst82_rad, orientation_at
+from services.access.events.contacts import sample_times
+from services.access.events.crossings import positive_intervals
+from services.access.orbits.ephemeris import Ephemeris
+from services.access.orbits.orientation import Orientation, gmst82_rad, orientation_at
 
 Array = NDArray[np.float64]
 
