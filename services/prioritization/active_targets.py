@@ -11,9 +11,10 @@ import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
-from services.prioritization import burn_evidence, expected_front, observation_age, reward
+from services.prioritization import expected_front, observation_age, reward
 from services.prioritization.expected_front import KINDS, WEIGHTLESS, Front
 from services.prioritization.lattice import KM_PER_DEGREE, Lattice
+from services.prioritization.prefire import burn_evidence
 
 Array = npt.NDArray[np.float64]
 

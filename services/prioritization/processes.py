@@ -84,7 +84,8 @@ class RatePrefireDangerOutputs(ProcessOutputs):
 
 def rate_prefire_danger(inputs: RatePrefireDangerInputs, context: JobContext) -> RatePrefireDangerOutputs:
     """WFPI, WLFP and WFSP of lead days 0-7 on the fuels grid, without and with soil moisture and burned area."""
-    from services.prioritization import danger, danger_map, sources
+    from services.prioritization import sources
+    from services.prioritization.prefire import danger, danger_map
     from shared.contracts import grids
 
     time = sources.to_utc(inputs.time)
@@ -247,7 +248,7 @@ def build_targets(inputs: BuildTargetsInputs, context: JobContext) -> BuildTarge
 WARM_MODULES = (
     "services.prioritization.fuel_moisture_grid",
     "services.prioritization.rating",
-    "services.prioritization.danger_map",
+    "services.prioritization.prefire.danger_map",
     "services.prioritization.targets",
     "shared.contracts.tables",
 )

@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 from shapely.geometry import Point
 
-from services.prioritization import danger, features, large_fire_model, large_fire_skill, rating, weather
-from services.prioritization.fire_potential import MASK_CODES
+from services.prioritization import features, large_fire_model, large_fire_skill, rating, weather
+from services.prioritization.prefire import danger
+from services.prioritization.prefire.fire_potential import MASK_CODES
 
 LABEL = "uncontrolled_within_100_ha"
 START = pd.Timestamp("2022-06-10T18:00:00Z")

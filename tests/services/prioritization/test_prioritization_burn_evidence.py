@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from services.prioritization.burn_evidence import excess_probability, log_likelihood_ratio
+from services.prioritization.prefire.burn_evidence import excess_probability, log_likelihood_ratio
 
 
 def looks(probability: list[float], prior: float | None) -> pd.DataFrame:

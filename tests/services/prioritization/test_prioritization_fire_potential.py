@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 from shapely.geometry import Point
 
-from services.prioritization import danger, fire_potential, large_fire_probability, observed_land, weather
+from services.prioritization import weather
+from services.prioritization.prefire import danger, fire_potential, large_fire_probability, observed_land
 from shared.errors import DomainError
 
 TERMS = fire_potential.WeatherTerms()

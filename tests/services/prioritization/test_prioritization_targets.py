@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Point, box
 
-from services.prioritization import active_targets, danger, expected_front, observation_age, reward, targets, weather
+from services.prioritization import active_targets, expected_front, observation_age, reward, targets, weather
 from services.prioritization.lattice import Lattice
+from services.prioritization.prefire import danger
 from shared.contracts import tables
 from shared.errors import DomainError
 

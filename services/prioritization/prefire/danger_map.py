@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from services.prioritization.fire_potential import MASK_CODES
+from services.prioritization.prefire.fire_potential import MASK_CODES
 
 CLASS_EDGES = (0, 30, 60, 85, 110, 135, 247)
 CLASS_NAMES = ("low", "moderate", "elevated", "high", "very high", "extreme")

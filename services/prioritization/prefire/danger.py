@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
-from services.prioritization import fire_potential, large_fire_probability, observed_land, weather
+from services.prioritization import weather
+from services.prioritization.prefire import fire_potential, large_fire_probability, observed_land
 from shared.errors import DomainError
 
 Array = npt.NDArray[np.float64]

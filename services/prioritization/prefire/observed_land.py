@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from services.prioritization import burn_evidence
+from services.prioritization.prefire import burn_evidence
 
 Array = npt.NDArray[np.float64]
 
