@@ -99,16 +99,23 @@ def plan(problem: PlanningProblem, options: Options, progress: Progress = lambda
 def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock: Clock, progress: Progress) -> Plan:
     seen = problem.covered_targets(np.arange(len(problem.images)))
     progress(5, "mandatory targets")
-    wanted = problem.targets.active & seen
+    pinned = problem.targets.demanded() & seen
+    wanted = (problem.targets.active & seen) | pinned
     seed, possible, cut_seed = _mandatory_seed(problem, chunks, wanted, options, clock)
     if options.active_mandatory == "true":
         _demand_all(problem, seen, possible)
     mandatory = options.active_mandatory != "false" and possible is True
-    required = wanted if mandatory else np.zeros(len(seen), bool)
+    required = wanted if mandatory else pinned
+    if not mandatory and pinned.any():
+        seed, possible_pins, cut_pins = _mandatory_seed(
+            problem, chunks, pinned, replace(options, active_mandatory="true"), clock
+        )
+        _demand_pins(problem, pinned, seed, possible_pins)
+        cut_seed |= cut_pins
     coverage = reduce_coverage(problem, chunks, np.arange(len(problem.images)), np.ones(len(seen), bool), required)
     progress(15, "solving")
     images, bound, method, cut = _solve(
-        problem, chunks, coverage, seed if mandatory else None, options, clock, progress
+        problem, chunks, coverage, seed if required.any() else None, options, clock, progress
     )
     progress(80, "exact timeline")
     timeline = _emit_full(problem, chunks, images)
@@ -179,6 +186,16 @@ def _mandatory_seed(
     met = bool(problem.covered_targets(images)[required].all())
     refuted = solution.bound < len(coverage.value) - 0.5
     return images, True if met else (False if refuted else None), solution.time_limited and not met
+
+
+def _demand_pins(problem: PlanningProblem, pinned: BoolArray, seed: IntArray, possible: bool | None) -> None:
+    if possible is True:
+        return
+    missed = problem.targets.target_id[pinned & ~problem.covered_targets(seed)]
+    raise DomainError(
+        "the pinned targets cannot all be observed: storage, battery or stations forbid it together",
+        field="target_changes", value=[int(target) for target in missed[:20]], accepted="fewer pinned targets",
+    )  # fmt: skip
 
 
 def _demand_all(problem: PlanningProblem, seen: BoolArray, possible: bool | None) -> None:

@@ -51,11 +51,19 @@ class Pass:
 
 @dataclass(frozen=True)
 class Targets:
-    """Targets in table order: ids, whether active, and value in the objective (10 r for active, r for pre-fire)."""
+    """Targets in table order: ids, whether active, and value in the objective (10 r for active, r for pre-fire).
+
+    ``pinned`` marks those that a person demands, whatever they are worth (None: none).
+    """
 
     target_id: IntArray
     active: BoolArray
     value: FloatArray
+    pinned: BoolArray | None = None
+
+    def demanded(self) -> BoolArray:
+        """Mask of the pinned targets."""
+        return np.zeros(len(self.value), bool) if self.pinned is None else self.pinned
 
 
 @dataclass(frozen=True)
