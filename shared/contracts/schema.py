@@ -25,6 +25,7 @@ from shared.errors import ContractError
 Kind = Literal["int64", "int32", "float64", "string", "bool", "time", "geometry"]
 
 PRODUCT_KEY = b"smokeglint"
+_TEXTS = ("string", "empty")
 
 
 @dataclass(frozen=True)
@@ -180,11 +181,12 @@ def _as_float(values: pd.Series[Any]) -> pd.Series[Any]:
 
 
 def _as_text(values: pd.Series[Any]) -> pd.Series[Any]:
+    categorical = isinstance(values.dtype, pd.CategoricalDtype)  # then each text is looked at once
     text = values.astype("object")
-    known = text.notna()
-    if not text[known].map(lambda value: isinstance(value, str)).all():
+    if pd.api.types.infer_dtype(values.cat.categories if categorical else text, skipna=True) not in _TEXTS:
         raise ValueError("not texts")
-    return text.where(known, None)
+    known = values.notna()
+    return text if known.all() else text.where(known, None)
 
 
 def _as_bool(values: pd.Series[Any]) -> pd.Series[Any]:
@@ -227,6 +229,39 @@ def write_table(
     metadata = dict(table.schema.metadata or {})
     metadata[PRODUCT_KEY] = json.dumps({"table": schema.name, **(attributes or {})}, sort_keys=True).encode()
     pq.write_table(table.replace_schema_metadata(metadata), str(path), compression="zstd")
+
+
+class TableWriter:
+    """One Parquet file from parts that come one after the other, each checked against the contract and then let go.
+
+    A context manager. Parts have the same columns; what must be unique is so within each part, and the caller sees to
+    it between them. Without any part the file holds the columns of ``empty`` and no row.
+    """
+
+    def __init__(
+        self, path: str | Path, schema: TableSchema, empty: pd.DataFrame, attributes: Mapping[str, Any] | None = None
+    ) -> None:
+        self._schema = schema
+        layout = _to_arrow(schema.check(empty)).schema
+        texts = {column.name for column in schema.columns if column.kind == "string"}  # without rows of no type yet
+        fields = [pa.field(field.name, pa.string()) if field.name in texts else field for field in layout]
+        metadata = dict(layout.metadata or {})
+        metadata[PRODUCT_KEY] = json.dumps({"table": schema.name, **(attributes or {})}, sort_keys=True).encode()
+        self._layout = pa.schema(fields, metadata)
+        self._file = pq.ParquetWriter(str(path), self._layout, compression="zstd")
+        self.rows = 0
+
+    def write(self, frame: pd.DataFrame) -> None:
+        """Append a part: a row group of its own."""
+        if len(frame):
+            self._file.write_table(_to_arrow(self._schema.check(frame)).cast(self._layout))
+            self.rows += len(frame)
+
+    def __enter__(self) -> TableWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
 
 
 def _to_arrow(frame: pd.DataFrame) -> pa.Table:

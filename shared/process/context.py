@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any
 from shared.artifacts.manifest import FileEntry, Product, combine
 from shared.artifacts.reference import ArtifactRef
 from shared.artifacts.store import ArtifactStore, describe_file
+from shared.contracts.limits import InputLimits
 from shared.errors import ContractError, SmokeglintError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from shared.contracts.schema import TableWriter
 
 Report = Callable[[float, str], None]
 
@@ -22,26 +25,33 @@ Report = Callable[[float, str], None]
 class JobContext:
     """Reads inputs and stages outputs of one job. Nothing it writes is seen before the job is committed."""
 
-    def __init__(self, store: ArtifactStore, staging: Path, product: Product, report: Report) -> None:
+    def __init__(
+        self, store: ArtifactStore, staging: Path, product: Product, report: Report, limits: InputLimits | None = None
+    ) -> None:
         self._store = store
         self._staging = staging
         self._product = product
         self._report = report
+        self._limits = limits or InputLimits()
         self._outputs: dict[str, Path] = {}
         self._own: dict[str, dict[str, Any]] = {}
 
     # Inputs
 
     def path(self, reference: ArtifactRef) -> Path:
-        """A verified local path of an input; fetched into the staging folder if it lies on another store."""
+        """A verified local path of an input; fetched into the staging folder if it lies on another store.
+
+        ContractError if the file is larger than the limits set.
+        """
         location, digest = self._store.open_reference(reference)
-        if location.local is not None:
-            return location.local
-        fetched = self._staging / "inputs" / f"{digest[:16]}-{reference.name}"
-        if not fetched.exists():
-            fetched.parent.mkdir(exist_ok=True)
-            location.fs.get_file(location.path, str(fetched))
-        return fetched
+        path = location.local
+        if path is None:
+            path = self._staging / "inputs" / f"{digest[:16]}-{reference.name}"
+            if not path.exists():
+                path.parent.mkdir(exist_ok=True)
+                location.fs.get_file(location.path, str(path))
+        self._limits.check(path, reference.name)
+        return path
 
     def read_table(self, reference: ArtifactRef, contract: str) -> pd.DataFrame:
         """A table checked against the contract of that name (a GeoDataFrame where it has a geometry)."""
@@ -105,9 +115,18 @@ class JobContext:
         schema.write_table(path, frame, tables.ALL[contract], self.product_attributes(sources))
         return self.ref(name)
 
+    def table_writer(
+        self, name: str, empty: pd.DataFrame, contract: str, sources: Sequence[ArtifactRef] | None = None
+    ) -> TableWriter:
+        """As ``write_table``, part by part, for tables that should not be held at once; ``ref`` once it is closed."""
+        from shared.contracts import schema, tables  # pandas stays in the worker
+
+        path = self.new_file(name, sources)
+        return schema.TableWriter(path, tables.ALL[contract], empty, self.product_attributes(sources))
+
     def write_json(self, name: str, document: dict[str, Any]) -> ArtifactRef:
         """Stage a JSON report with the product attributes under ``product``; NaN and infinity become null."""
-        content = {**_finite(document), "product": self.product_attributes()}
+        content = {**finite(document), "product": self.product_attributes()}
         text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False, default=str)
         self.new_file(name).write_text(text + "\n", encoding="utf-8")
         return self.ref(name)
@@ -131,11 +150,12 @@ class JobContext:
         return {name: describe_file(path, **self._own.get(name, {})) for name, path in sorted(self._outputs.items())}
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """A value as strict JSON can hold it: numpy scalars as numbers, NaN and infinity as None."""
     if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
         value = value.item()  # numpy scalars
     if isinstance(value, float) and not math.isfinite(value):

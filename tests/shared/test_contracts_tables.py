@@ -13,7 +13,7 @@ import pytest
 import shapely
 
 from shared.contracts import tables
-from shared.contracts.schema import Column, read_attributes, read_table, write_table
+from shared.contracts.schema import Column, TableWriter, read_attributes, read_table, write_table
 from shared.errors import ContractError
 
 T = [pd.Timestamp("2024-07-01T00:00:00.123Z") + pd.Timedelta(minutes=k) for k in range(3)]
@@ -440,3 +440,24 @@ def test_the_same_frame_gives_the_same_bytes(name: str, tmp_path: Path) -> None:
     assert (tmp_path / "c.parquet").read_bytes() == first, "what was read writes back the same"
     write_table(tmp_path / "d.parquet", example(name).iloc[:2], tables.ALL[name], attributes)
     assert (tmp_path / "d.parquet").read_bytes() != first
+
+
+@pytest.mark.parametrize("name", ["OPPORTUNITIES", "SPECULAR_POINTS"])
+def test_a_table_written_in_parts_is_the_table_written_at_once(name: str, tmp_path: Path) -> None:
+    schema, frame = tables.ALL[name], example(name)
+    with TableWriter(tmp_path / "parts.parquet", schema, frame.iloc[:0], {"simulated": True}) as parts:
+        parts.write(frame.iloc[:1])
+        parts.write(frame.iloc[1:1])
+        parts.write(frame.iloc[1:])
+        with pytest.raises(ContractError):
+            parts.write(pd.DataFrame(frame).drop(columns=schema.columns[0].name))
+    assert parts.rows == len(frame)
+    write_table(tmp_path / "once.parquet", frame, schema, {"simulated": True})
+    pd.testing.assert_frame_equal(
+        pd.DataFrame(read_table(tmp_path / "parts.parquet", schema)),
+        pd.DataFrame(read_table(tmp_path / "once.parquet", schema)),
+    )
+    assert read_attributes(tmp_path / "parts.parquet") == read_attributes(tmp_path / "once.parquet")
+    with TableWriter(tmp_path / "none.parquet", schema, frame.iloc[:0]):
+        pass
+    assert len(read_table(tmp_path / "none.parquet", schema)) == 0
