@@ -12,14 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from services.access.antenna import CYGNSS_BEAMS, BeamPair
-from services.access.coverage import Coverage, TargetCells, covered_targets, target_cells
+from services.access.coverage.search import Coverage, TargetCells, covered_targets, target_cells
 from services.access.ellipsoid import to_cartesian
 from services.access.events.contacts import Contact, Station, find_contacts
 from services.access.events.eclipses import Eclipse, find_eclipses
 from services.access.orbits.elements import ElementSet, name_transmitters, within_age
 from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, Ephemeris, propagate, resample
-from services.access.tracks import Cap, SpecularTrack, specular_track
+from services.access.specular.antenna import CYGNSS_BEAMS, BeamPair
+from services.access.specular.tracks import Cap, SpecularTrack, specular_track
 from shared.errors import DomainError
 
 Array = NDArray[np.float64]

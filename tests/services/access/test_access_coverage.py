@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.access.coverage import covered_targets, target_cells
+from services.access.coverage.search import covered_targets, target_cells
 from services.access.ellipsoid import chord_from_arc_m, to_cartesian
-from services.access.tracks import SpecularTrack
+from services.access.specular.tracks import SpecularTrack
 from shared.errors import DomainError
 
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from services.access.ellipsoid import SEMI_MAJOR_M, to_cartesian, to_geodetic, up_vector
-from services.access.reflection import GRAZING, OCCULTED, SOLVED
-from services.access.specular import specular_points
+from services.access.specular.points import specular_points
+from services.access.specular.reflection import GRAZING, OCCULTED, SOLVED
 from shared.errors import DomainError
 
 Array = NDArray[np.float64]

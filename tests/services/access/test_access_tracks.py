@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.access.antenna import CYGNSS_BEAMS, BeamPair, body_axes
 from services.access.ellipsoid import to_cartesian
 from services.access.orbits.elements import name_transmitters, read_elements
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
-from services.access.reflection import SOLVED, beam_gain_dbi
-from services.access.specular import specular_points
-from services.access.tracks import Cap, SpecularTrack, specular_track
+from services.access.specular.antenna import CYGNSS_BEAMS, BeamPair, body_axes
+from services.access.specular.points import specular_points
+from services.access.specular.reflection import SOLVED, beam_gain_dbi
+from services.access.specular.tracks import Cap, SpecularTrack, specular_track
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
 
 COUNT = 5400

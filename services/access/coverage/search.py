@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.access.ellipsoid import arc_from_chord_m, chord_from_arc_m, to_cartesian
-from services.access.tracks import SpecularTrack
+from services.access.specular.tracks import SpecularTrack
 from shared.errors import DomainError
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.access.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M
-from services.access.reflection import solve_all
+from services.access.specular.reflection import solve_all
 from shared.errors import DomainError
 
 Array = NDArray[np.float64]

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.access.antenna import BeamPair, body_axes
 from services.access.ellipsoid import SEMI_MINOR_M
 from services.access.orbits.ephemeris import Ephemeris
-from services.access.reflection import follow_all
+from services.access.specular.antenna import BeamPair, body_axes
+from services.access.specular.reflection import follow_all
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""What specular points cover: point targets and the cells of grids."""

@@ -1,0 +1,1 @@
+"""Specular points: the reflecting ellipsoid, antennas and tracks."""
