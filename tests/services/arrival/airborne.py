@@ -14,7 +14,7 @@ from services.arrival.field import FieldSettings
 from services.arrival.fires import build_case, map_case
 from services.arrival.looks import confident
 from services.arrival.metrics import sorensen
-from services.arrival.viirs import read_viirs
+from services.arrival.readers.granules import read_viirs
 
 # Hours of the perimeter from 00 UTC of the ignition day, as the collection's authors give them.
 FIRES = {"bobcat": ("2020-09-06T00:00Z", 56.25), "mineral": ("2020-07-13T00:00Z", 51.25)}
