@@ -10,27 +10,28 @@ import numpy as np
 import pandas as pd
 
 from services.planning.frozen import previous_commands
+from services.planning.options.passes import OpenPass, open_passes, shared_with_nominal, usable_contacts
+from services.planning.options.rules import OperationRules
+from services.planning.options.wishes import changed_tables, pin
 from services.planning.problem import (
     ACTIVE_WEIGHT,
     BoolArray,
     Frozen,
     Images,
     IntArray,
-    Pass,
     PlanningProblem,
     SatelliteLimits,
     Targets,
 )
+from services.planning.validation import (
+    check_horizon,
+    check_limits,
+    check_overlaps,
+    check_slews,
+    check_windows,
+    seconds_from,
+)
 from shared.errors import DomainError
-
-
-def seconds_from(start: pd.Timestamp, times: pd.Series) -> np.ndarray:
-    """Seconds (float, exact to the microsecond) from ``start`` to each time."""
-    stamps = pd.to_datetime(times, utc=True).dt.as_unit("us").to_numpy("datetime64[us]")
-    if np.isnat(stamps).any():
-        raise DomainError(f"column '{times.name}' holds a missing time", field=str(times.name), accepted="UTC times")
-    origin = start.tz_convert("UTC").tz_localize(None).to_datetime64().astype("datetime64[us]")
-    return np.asarray((stamps - origin).astype("int64") / 1e6)
 
 
 def build_problem(
@@ -43,60 +44,68 @@ def build_problem(
     horizon_s: int,
     release: pd.Timestamp | None = None,
     previous: pd.DataFrame | None = None,
+    rules: OperationRules | None = None,
 ) -> PlanningProblem:
     """Validate the inputs and cut them to whole seconds of the horizon.
 
     ``spacecraft`` maps every satellite name of the tables to its limits. With ``release`` a satellite accepts new
-    commands from the end of its first contact that starts at or after release, plus its uplink margin; until then the
-    rows of ``previous`` run on. Raises `DomainError` naming the offending field.
+    commands from the end of its first contact that starts at or after release, plus its uplink margin; until then, and
+    until ``rules.frozen_until``, the rows of ``previous`` run on. Raises `DomainError` naming the offending field.
     """
-    if horizon_s <= 0:
-        raise DomainError("the horizon is empty", field="spacecraft.horizon_s", value=horizon_s, accepted="> 0 seconds")
+    rules = rules or OperationRules()
+    check_horizon(horizon_s)
+    for name, table in (("contacts", contacts), ("eclipses", eclipses)):
+        check_windows(table, name)
+    check_overlaps(contacts)
     names = tuple(sorted(set(opportunities["satellite"].astype(str)) | set(contacts["satellite"].astype(str))))
-    satellites = tuple(_checked_limits(spacecraft[name]) for name in names)
+    satellites = tuple(check_limits(_out_of_service(spacecraft[name], rules, horizon_start)) for name in names)
     stations = tuple(sorted(set(contacts["station"].astype(str))))
     index = {name: position for position, name in enumerate(names)}
-    goals = _targets(targets)
-    passes = _passes(contacts, index, stations, horizon_start, horizon_s)
+    changed = changed_tables({"opportunities": opportunities, "targets": targets}, rules)
+    goals = pin(_targets(changed["targets"]), rules)
+    usable = usable_contacts(contacts, rules)
+    passes = _passes(usable, index, stations, horizon_start, horizon_s, rules)
     sunlit = _sunlit(eclipses, index, horizon_start, horizon_s)
-    first_s, uplinks = _uplinks(contacts, satellites, horizon_start, horizon_s, release)
+    first_s, uplinks = _uplinks(usable, satellites, horizon_start, horizon_s, release)
+    if rules.frozen_until is not None:
+        until_s = math.ceil((rules.frozen_until - horizon_start).total_seconds())
+        first_s = np.clip(np.maximum(first_s, until_s), 0, horizon_s)
     commandable = np.arange(horizon_s)[None, :] >= first_s[:, None]
     for row, limits in enumerate(satellites):
         for begin, end in limits.unavailable:
-            commandable[row, max(0, math.floor(begin)) : max(0, math.ceil(end))] = False
-    images, seen = _images(opportunities, index, goals, horizon_start, horizon_s)
+            last = horizon_s if math.isinf(end) else max(0, math.ceil(end))
+            commandable[row, max(0, math.floor(begin)) : last] = False
+    images, seen, pointings = _images(changed["opportunities"], index, goals, horizon_start, horizon_s)
+    if len(pointings) > 1:
+        for limits in satellites:
+            check_slews(limits.slew, pointings)
     problem = PlanningProblem(
-        horizon_start, horizon_s, satellites, stations, passes, sunlit, commandable, images, goals,
-        _no_frozen(len(names), horizon_s), uplinks, seen,
+        horizon_start, horizon_s, satellites, stations, tuple(p.whole() for p in passes), sunlit, commandable, images,
+        goals, _no_frozen(len(names), horizon_s), uplinks, seen, first_s, pointings,
     )  # fmt: skip
-    if release is not None and previous is not None and len(previous):
+    if previous is not None and len(previous) and (release is not None or rules.frozen_until is not None):
         problem = replace(problem, frozen=previous_commands(problem, previous, first_s))
+    if rules.nominal_share > 0:
+        problem = replace(problem, passes=shared_with_nominal(passes, problem.frozen))
     return _keep_commandable(problem)
+
+
+def _out_of_service(limits: SatelliteLimits, rules: OperationRules, origin: pd.Timestamp) -> SatelliteLimits:
+    """Limits with the outages of the satellite among its unavailable windows (an open end lies beyond any horizon)."""
+    windows = tuple(
+        (
+            (outage.start - origin).total_seconds(),
+            math.inf if outage.end is None else (outage.end - origin).total_seconds(),
+        )
+        for outage in rules.outages
+        if outage.satellite == limits.name
+    )
+    return replace(limits, unavailable=limits.unavailable + windows) if windows else limits
 
 
 def _no_frozen(satellites: int, horizon_s: int) -> Frozen:
     empty = np.zeros(0, np.int64)
     return Frozen(empty, empty, empty, empty, np.full((satellites, horizon_s), -1, np.int16))
-
-
-def _checked_limits(limits: SatelliteLimits) -> SatelliteLimits:
-    name = limits.name
-    if limits.battery_initial_wh < limits.battery_min_wh:
-        raise DomainError(
-            f"the battery of {name} starts below its floor", field="spacecraft.battery_initial_wh",
-            value=limits.battery_initial_wh, accepted=f">= battery_min_wh ({limits.battery_min_wh:g} Wh)",
-        )  # fmt: skip
-    if limits.battery_initial_wh > limits.battery_capacity_wh:
-        raise DomainError(
-            f"the battery of {name} starts above its capacity", field="spacecraft.battery_initial_wh",
-            value=limits.battery_initial_wh, accepted=f"<= battery_capacity_wh ({limits.battery_capacity_wh:g} Wh)",
-        )  # fmt: skip
-    if not 0 <= limits.stored_images_initial <= limits.storage_images:
-        raise DomainError(
-            f"{name} starts with more images than it can store", field="spacecraft.stored_images_initial",
-            value=limits.stored_images_initial, accepted=f"0..{limits.storage_images}",
-        )  # fmt: skip
-    return limits
 
 
 def _targets(table: pd.DataFrame) -> Targets:
@@ -122,33 +131,16 @@ def _targets(table: pd.DataFrame) -> Targets:
 
 
 def _passes(
-    contacts: pd.DataFrame, index: dict[str, int], stations: tuple[str, ...], origin: pd.Timestamp, horizon_s: int
-) -> tuple[Pass, ...]:
-    """Whole seconds inside each contact; overlapping contacts of one satellite with one station are refused."""
-    frame = pd.DataFrame({
-        "satellite": contacts["satellite"].astype(str).map(index).to_numpy(),
-        "station": contacts["station"].astype(str).map({name: i for i, name in enumerate(stations)}).to_numpy(),
-        "start": seconds_from(origin, contacts["start"]),
-        "end": seconds_from(origin, contacts["end"]),
-    }).sort_values(["satellite", "station", "start", "end"])  # fmt: skip
-    if (frame["end"] < frame["start"]).any():
-        raise DomainError("a contact ends before it starts", field="contacts.end", accepted="end >= start")
-    same = frame.duplicated(["satellite", "station"])
-    overlap = same & (frame["start"] < frame["end"].shift())
-    if overlap.any():
-        row = frame[overlap].iloc[0]
-        name = list(index)[int(row["satellite"])]
-        start = origin + pd.Timedelta(seconds=float(row["start"]))
-        raise DomainError(
-            f"contacts of {name} with {stations[int(row['station'])]} overlap", field="contacts.start",
-            value=start.isoformat(), accepted="one contact of a satellite with a station at a time",
-        )  # fmt: skip
-    passes = []
-    for row in frame.itertuples(index=False):
-        begin, end = max(0, math.ceil(row.start)), min(horizon_s, math.floor(row.end))
-        if end > begin:
-            passes.append(Pass(int(row.satellite), int(row.station), begin, end))
-    return tuple(sorted(passes, key=lambda p: (p.satellite, p.start_s, p.station)))
+    contacts: pd.DataFrame, index: dict[str, int], stations: tuple[str, ...], origin: pd.Timestamp, horizon_s: int,
+    rules: OperationRules,
+) -> list[OpenPass]:  # fmt: skip
+    """Whole seconds of each usable contact that may carry data."""
+    station = {name: place for place, name in enumerate(stations)}
+    return open_passes(
+        seconds_from(origin, contacts["start"]), seconds_from(origin, contacts["end"]),
+        contacts["satellite"].map(index).to_numpy(np.int64), contacts["station"].map(station).to_numpy(np.int64),
+        rules, horizon_s,
+    )  # fmt: skip
 
 
 def _sunlit(eclipses: pd.DataFrame, index: dict[str, int], origin: pd.Timestamp, horizon_s: int) -> BoolArray:
@@ -198,8 +190,8 @@ def _uplinks(
 
 def _images(
     table: pd.DataFrame, index: dict[str, int], targets: Targets, origin: pd.Timestamp, horizon_s: int
-) -> tuple[Images, IntArray]:
-    """Images inside the horizon with their targets, and the number of opportunities of every target."""
+) -> tuple[Images, IntArray, tuple[str, ...]]:
+    """Images inside the horizon with their targets, the number of opportunities of every target, and all pointings."""
     order = np.argsort(targets.target_id, kind="stable")
     ids = table["target_id"].to_numpy(np.int64)
     place = np.searchsorted(targets.target_id[order], ids)
@@ -217,21 +209,37 @@ def _images(
             "an image does not start on a whole second from horizon_start", field="opportunities.time",
             value=str(table["time"].iloc[first]), accepted="whole seconds from horizon_start",
         )  # fmt: skip
+    pointings, pointing = _pointings(table)
     rows = pd.DataFrame({
         "image": table["image_id"].to_numpy(np.int64),
         "satellite": table["satellite"].astype(str).map(index).to_numpy(np.int64),
-        "second": second.astype(np.int64), "target": order[place] if len(place) else place,
+        "second": second.astype(np.int64), "target": order[place] if len(place) else place, "pointing": pointing,
     }).drop_duplicates(["image", "target"]).sort_values(["satellite", "second", "image", "target"])  # fmt: skip
-    heads = rows.drop_duplicates(["image", "satellite", "second"])
-    if heads["image"].duplicated().any() or heads.duplicated(["satellite", "second"]).any():
-        twice = heads[heads["image"].duplicated(keep=False) | heads.duplicated(["satellite", "second"], keep=False)]
+    place_of = ["satellite", "second", "pointing"]
+    heads = rows.drop_duplicates(["image", *place_of])
+    if heads["image"].duplicated().any() or heads.duplicated(place_of).any():
+        twice = heads[heads["image"].duplicated(keep=False) | heads.duplicated(place_of, keep=False)]
         raise DomainError(
             "an image is not one satellite-second", field="opportunities.image_id", value=int(twice["image"].iloc[0]),
-            accepted="one image_id per satellite and time",
+            accepted="one image_id per satellite and time (and pointing, where there are several)",
         )  # fmt: skip
     rows = rows[(rows["second"] >= 0) & (rows["second"] < horizon_s)]
     seen = np.bincount(rows["target"].to_numpy(np.int64), minlength=len(order)).astype(np.int64)
-    return _pack(rows), seen
+    return _pack(rows), seen, pointings
+
+
+def _pointings(table: pd.DataFrame) -> tuple[tuple[str, ...], IntArray]:
+    """The pointings of the opportunities in order of name, and that of every row (none given: one and the same)."""
+    if "pointing" not in table or table["pointing"].isna().all():
+        return (), np.zeros(len(table), np.int64)
+    if table["pointing"].isna().any():
+        row = int(np.flatnonzero(table["pointing"].isna())[0])
+        raise DomainError(
+            f"row {row} of the opportunities has no pointing while others do", field="opportunities.pointing",
+            accepted="a pointing in every row, or in none",
+        )  # fmt: skip
+    names, place = np.unique(table["pointing"].astype(str).to_numpy(), return_inverse=True)
+    return tuple(str(name) for name in names), place.reshape(-1).astype(np.int64)
 
 
 def _pack(rows: pd.DataFrame) -> Images:
@@ -239,7 +247,7 @@ def _pack(rows: pd.DataFrame) -> Images:
     starts = np.append(np.flatnonzero(heads), len(rows)).astype(np.int64)
     first = rows[heads]
     columns = (first[name].to_numpy(np.int64) for name in ("image", "satellite", "second"))
-    return Images(*columns, starts, rows["target"].to_numpy(np.int64))
+    return Images(*columns, starts, rows["target"].to_numpy(np.int64), first["pointing"].to_numpy(np.int64))
 
 
 def _keep_commandable(problem: PlanningProblem) -> PlanningProblem:
@@ -253,7 +261,7 @@ def _keep_commandable(problem: PlanningProblem) -> PlanningProblem:
     sizes = np.diff(images.start)[keep]
     kept = Images(
         images.image_id[keep], images.satellite[keep], images.second[keep],
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), images.target[entry],
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64), images.target[entry], images.pointing_of()[keep],
     )  # fmt: skip
     renumber = np.where(keep, np.cumsum(keep) - 1, -1)
     moved = np.where(frozen.image >= 0, renumber[frozen.image], -1)

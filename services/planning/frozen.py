@@ -21,6 +21,8 @@ def previous_commands(problem: PlanningProblem, previous: pd.DataFrame, first_s:
     for item in problem.passes:
         visible[item.satellite, item.station, item.start_s : item.end_s] = True
     collect = np.full((len(names), problem.horizon_s), -1, np.int64)
+    held = np.full((len(names), problem.horizon_s), -1, np.int64)
+    pointings = {name: place for place, name in enumerate(problem.pointings)}
     wanted = np.full((len(names), problem.horizon_s), -1, np.int16)
     origin = problem.horizon_start
     dropped = 0
@@ -35,23 +37,22 @@ def previous_commands(problem: PlanningProblem, previous: pd.DataFrame, first_s:
         begin, end = max(0, begin), min(problem.horizon_s, end)
         if row.command == "collect":
             collect[satellite, begin:end] = int(row.image_id)
+            held[satellite, begin:end] = pointings.get(str(getattr(row, "pointing", "")), -1)
         elif str(row.station) in stations:
             wanted[satellite, begin:end] = stations[str(row.station)]
         else:
             dropped += max(0, end - begin)
-    return _execute(problem, collect, wanted, visible, dropped)
+    return _execute(problem, collect, held, wanted, visible, dropped)
 
 
 def _execute(
-    problem: PlanningProblem, collect: np.ndarray, wanted: np.ndarray, visible: np.ndarray, dropped: int
-) -> Frozen:
+    problem: PlanningProblem, collect: np.ndarray, held: np.ndarray, wanted: np.ndarray, visible: np.ndarray,
+    dropped: int,
+) -> Frozen:  # fmt: skip
     taken = np.zeros((visible.shape[1], problem.horizon_s), bool)
     available = _available(problem)
     downlink = np.full_like(wanted, -1)
-    at = {
-        (int(s), int(t)): i
-        for i, (s, t) in enumerate(zip(problem.images.satellite, problem.images.second, strict=True))
-    }
+    at = _images_by_place(problem)
     kept: list[tuple[int, int, int, int]] = []
     for s, limits in enumerate(problem.satellites):
         stored, progress, battery = limits.stored_images_initial, 0, limits.battery_initial_wh
@@ -62,7 +63,7 @@ def _execute(
             if image >= 0:
                 ok = available[s, t] and stored < limits.storage_images
                 if ok and _powered(battery, base - limits.collect_w, limits):
-                    kept.append((s, t, at.get((s, t), -1), image))
+                    kept.append((s, t, at.get((s, t, int(held[s, t])), -1), image))
                     stored += 1
                     base -= limits.collect_w
                 else:
@@ -82,12 +83,24 @@ def _execute(
     return _frozen(problem, kept, downlink, dropped)
 
 
+def _images_by_place(problem: PlanningProblem) -> dict[tuple[int, int, int], int]:
+    """(satellite, second, pointing) -> image; under pointing -1 the only one, where there is no other."""
+    own = problem.images
+    at: dict[tuple[int, int, int], int] = {}
+    for i, (s, t, p) in enumerate(zip(own.satellite, own.second, own.pointing_of(), strict=True)):
+        at[(int(s), int(t), int(p))] = i
+        if len(problem.pointings) <= 1:
+            at[(int(s), int(t), -1)] = i
+    return at
+
+
 def _available(problem: PlanningProblem) -> np.ndarray:
     """Outside ``unavailable`` windows only: the uplink does not bind commands already on board."""
     mask = np.ones_like(problem.commandable)
     for row, limits in enumerate(problem.satellites):
         for begin, end in limits.unavailable:
-            mask[row, max(0, int(np.floor(begin))) : max(0, int(np.ceil(end)))] = False
+            last = problem.horizon_s if np.isinf(end) else max(0, int(np.ceil(end)))
+            mask[row, max(0, int(np.floor(begin))) : last] = False
     return mask
 
 

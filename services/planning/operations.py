@@ -9,11 +9,12 @@ from typing import Any
 import pandas as pd
 
 from services.planning.building import build_problem
+from services.planning.check.replay import replay
+from services.planning.check.verdict import Verdict
 from services.planning.data_cycles import build_chunks
 from services.planning.greedy import greedy_images
 from services.planning.planner import Options, Plan, Progress, plan
 from services.planning.problem import PlanningProblem
-from services.planning.replay import Verdict, replay
 from services.planning.report import plan_report
 from services.planning.schedule import schedule_table
 from services.planning.spacecraft_limits import satellite_fields, satellite_limits

@@ -6,6 +6,7 @@ from ``horizon_start``; intervals are half-open.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,9 @@ class SatelliteLimits:
     stored_images_initial: int = 0
     uplink_margin_s: float = 0.0
     unavailable: tuple[tuple[float, float], ...] = ()
+    slew: Mapping[str, Mapping[str, int]] | None = None
+    """Seconds to turn from one pointing (outer key) to another."""
+    pointing_initial: str | None = None
 
 
 @dataclass(frozen=True)
@@ -68,13 +72,21 @@ class Targets:
 
 @dataclass(frozen=True)
 class Images:
-    """Collectable images: id, satellite index, second; covered target indices in CSR form (``start``, ``target``)."""
+    """Collectable images: id, satellite index, second; covered target indices in CSR form (``start``, ``target``).
+
+    ``pointing`` is the index into `PlanningProblem.pointings` (None: all alike).
+    """
 
     image_id: IntArray
     satellite: IntArray
     second: IntArray
     start: IntArray
     target: IntArray
+    pointing: IntArray | None = None
+
+    def pointing_of(self) -> IntArray:
+        """Pointing index of every image."""
+        return np.zeros(len(self), np.int64) if self.pointing is None else self.pointing
 
     def __len__(self) -> int:
         return len(self.image_id)
@@ -122,6 +134,14 @@ class PlanningProblem:
     uplink_contact: tuple[pd.Timestamp | None, ...]
     opportunity_count: IntArray
     """Images per target in the table, commandable or not: tells 'never seen' from 'seen at the wrong time'."""
+    first_s: IntArray | None = None
+    """First second of each satellite at which new commands may start (None: the first)."""
+    pointings: tuple[str, ...] = ()
+    """Names of the pointings that images are taken under (none: agility is off)."""
+
+    def commands_from(self) -> IntArray:
+        """First second of each satellite at which new commands may start."""
+        return np.zeros(len(self.satellites), np.int64) if self.first_s is None else self.first_s
 
     @property
     def frozen_images(self) -> IntArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
 
@@ -13,6 +13,12 @@ class UnavailableWindow(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     start: AwareDatetime
     end: AwareDatetime
+
+    @model_validator(mode="after")
+    def _lasts(self) -> UnavailableWindow:
+        if self.end <= self.start:
+            raise ValueError(f"an unavailable window must end after it starts: {self.start} to {self.end}")
+        return self
 
 
 class SatelliteState(BaseModel):
@@ -25,6 +31,7 @@ class SatelliteState(BaseModel):
     uplink_margin_s: int | None = Field(
         default=None, ge=0, description="from the end of a contact to the first new command, s"
     )
+    pointing_initial: str | None = Field(default=None, description="pointing at horizon_start; null: any")
 
 
 class Spacecraft(BaseModel):
@@ -43,6 +50,9 @@ class Spacecraft(BaseModel):
     horizon_start: AwareDatetime
     horizon_s: int = Field(ge=0, description="length of the horizon, s")
     uplink_margin_s: int = Field(0, ge=0, description="from the end of a contact to the first new command, s")
+    slew: dict[str, dict[str, Annotated[int, Field(ge=0)]]] | None = Field(
+        None, description="seconds to turn from one pointing (outer key) to another; needed where opportunities differ"
+    )
     satellites: dict[str, SatelliteState] = Field(default_factory=dict)
 
     @model_validator(mode="before")
@@ -70,6 +80,7 @@ class Spacecraft(BaseModel):
             battery_initial_wh=self.battery_initial_wh if own.battery_initial_wh is None else own.battery_initial_wh,
             unavailable=own.unavailable,
             uplink_margin_s=self.uplink_margin_s if own.uplink_margin_s is None else own.uplink_margin_s,
+            pointing_initial=own.pointing_initial,
         )
 
     def at_horizon(self, changes: dict[str, Any]) -> Spacecraft:

@@ -143,6 +143,7 @@ SCHEDULE = TableSchema(
         Column("station", "string", nullable=True),
         Column("cycle", "int32", minimum=0),
         Column("uplink_contact", "time", nullable=True),
+        Column("pointing", "string", required=False, nullable=True),
     ),
 )
 

@@ -1,0 +1,1 @@
+"""The independent replay behind check-plan; nothing here imports the solver."""
