@@ -59,6 +59,14 @@ class ConflictError(SmokeglintError):
     """The request contradicts an earlier one, e.g. an idempotency key used for another body."""
 
 
+class NotAllowedError(SmokeglintError):
+    """Somebody known asks for what is not his."""
+
+
+class TooManyJobsError(SmokeglintError):
+    """Somebody has as many jobs waiting or running as he may."""
+
+
 class JobFailedError(SmokeglintError):
     """A job that ended without a result; ``problem`` is its problem document."""
 

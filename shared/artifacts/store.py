@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from shared.artifacts.manifest import MANIFEST, FileEntry, Manifest, Product
 from shared.artifacts.reference import ArtifactRef, media_type
 from shared.artifacts.roots import Location, Roots, is_local, local_path
-from shared.errors import DomainError, TamperedArtifactError
+from shared.errors import DomainError, SmokeglintError, TamperedArtifactError
 
 STAGING = ".staging"
 _SEGMENT = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,119}$")
@@ -132,7 +132,10 @@ class ArtifactStore:
         """Move staged files into place, the manifest last. Until it is there, the step is not done.
 
         A step that another worker has finished meanwhile is left as it is: references to it are already in use.
+        SmokeglintError: there is no file to commit.
         """
+        if not files:
+            raise SmokeglintError(f"The step {address} made no file, so there is nothing to commit.")
         finished = self.load(address)
         if finished is not None:
             return finished

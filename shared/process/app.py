@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import traceback
 from collections.abc import AsyncIterator
@@ -17,8 +18,11 @@ from shared.errors import SmokeglintError
 from shared.lifeline import end_with_parent
 from shared.process.declaration import Process
 from shared.process.problem import problem, problem_of
-from shared.process.routes import problem_response, router
+from shared.process.problem_answer import problem_response
+from shared.process.routes import router
 from shared.process.service import Service
+from shared.security.exposure import refuse_exposure
+from shared.security.gate import Authenticator, GateMiddleware
 from shared.settings import ServiceSettings, service_settings
 from shared.telemetry import CORRELATION_HEADER, accept_correlation_id, configure_logging, correlation_id, logger
 from shared.versions import RELEASE
@@ -50,6 +54,7 @@ def create_app(
 ) -> FastAPI:
     """An OGC API – Processes service. ``module`` holds ``PROCESSES``; ``services.<name>.processes`` by default."""
     chosen = settings or service_settings(name)
+    authenticator = Authenticator(chosen)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -58,9 +63,12 @@ def create_app(
         service = Service(name, processes, module or f"services.{name}.processes", chosen)
         service.start()
         app.state.service = service
+        watch = None if authenticator.configured else asyncio.create_task(refuse_exposure())
         try:
             yield
         finally:
+            if watch:
+                watch.cancel()
             service.stop()
 
     description = "Part of Smokeglint: " + "; ".join(process.title for process in processes) + "."
@@ -74,7 +82,8 @@ def create_app(
         redoc_url=None,
     )
     app.include_router(router)
-    app.add_middleware(CorrelationMiddleware)
+    app.add_middleware(GateMiddleware, authenticator=authenticator)
+    app.add_middleware(CorrelationMiddleware)  # added last, met first: a refusal bears its correlation id, too
     _add_error_answers(app)
     return app
 

@@ -11,8 +11,9 @@ from pydantic import BaseModel
 from shared.artifacts.manifest import InputEntry, Manifest, Product, combine, step_key
 from shared.artifacts.reference import ArtifactRef
 from shared.artifacts.store import ArtifactStore, StepAddress
+from shared.contracts.limits import InputLimits
 from shared.errors import SmokeglintError
-from shared.process.context import JobContext, Report
+from shared.process.context import JobContext, Report, finite
 from shared.process.declaration import Process, ProcessInputs, parameters, references
 from shared.versions import code_version
 
@@ -57,10 +58,12 @@ def finished_outputs(step: Step, store: ArtifactStore) -> dict[str, Any] | None:
     return _outputs(step.address, store, manifest) if manifest else None
 
 
-def run_step(step: Step, store: ArtifactStore, owner: str, job_id: str, report: Report) -> dict[str, Any]:
+def run_step(
+    step: Step, store: ArtifactStore, owner: str, job_id: str, report: Report, limits: InputLimits | None = None
+) -> dict[str, Any]:
     """Run the process in a staging folder and commit what it made; nothing is left if it fails."""
     with store.staging(owner, job_id) as staging:
-        context = JobContext(store, staging, step.product, report)
+        context = JobContext(store, staging, step.product, report, limits)
         outputs = step.process.run(step.inputs, context)
         if not isinstance(outputs, step.process.outputs):
             raise SmokeglintError(f"{step.process.id} returned {type(outputs).__name__}, not its declared outputs")
@@ -71,7 +74,7 @@ def run_step(step: Step, store: ArtifactStore, owner: str, job_id: str, report: 
             product=context.product,
             inputs=step.entries,
             parameters=parameters(step.inputs),
-            outputs=outputs.model_dump(mode="json"),
+            outputs=finite(outputs.model_dump(mode="json")),
             files=context.entries(),
         )
         manifest = store.commit(step.address, context.outputs, manifest)
@@ -96,8 +99,8 @@ def _absolute(value: Any, address: StepAddress, store: ArtifactStore, manifest: 
 def service_code_version(module: str) -> str:
     """The code version of a service: its own package and ``shared``. ``module`` is ``services.<name>.processes``."""
     root = Path(__file__).resolve().parents[2]
-    package = root.joinpath(*module.split(".")[:-1])
-    return code_version(package, root / "shared")
+    package = module.split(".")[:-1]
+    return code_version(*([root.joinpath(*package)] if package else []), root / "shared")
 
 
 def validate_inputs(process: Process, values: Any) -> ProcessInputs:

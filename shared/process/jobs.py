@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import sqlalchemy as sa
 
-from shared.errors import ConflictError, NotFoundError
+from shared.errors import ConflictError, NotFoundError, TooManyJobsError
 
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
 FINAL = ("successful", "failed", "dismissed")
@@ -32,6 +32,7 @@ _jobs = sa.Table(
     sa.Column("idempotency_key", sa.String(200), unique=True),
     sa.Column("body_hash", sa.String(64), nullable=False),
     sa.Column("correlation_id", sa.String(128), nullable=False),
+    sa.Column("owner", sa.String(128), nullable=False),
     sa.Column("created", sa.String(32), nullable=False),
     sa.Column("updated", sa.String(32), nullable=False),
 )
@@ -50,6 +51,7 @@ class Job:
     outputs: dict[str, Any] | None
     problem: dict[str, Any] | None
     correlation_id: str
+    owner: str
     created: str
     updated: str
 
@@ -58,52 +60,66 @@ class Job:
         return self.status in FINAL
 
 
+@dataclass(frozen=True)
+class JobRequest:
+    """What is asked, by whom, under which idempotency key and correlation id."""
+
+    process: str
+    inputs: Mapping[str, Any]
+    body_hash: str
+    idempotency_key: str | None
+    correlation_id: str
+    owner: str = ""
+
+
 class JobRegister:
     """Jobs of one service, one replica a database. Thread-safe through the engine's own connections."""
 
     def __init__(self, url: str) -> None:
         options = {"connect_args": {"timeout": 30}} if url.startswith("sqlite") else {}
         self._engine = sa.create_engine(url, **options)
+        if _outdated(self._engine):
+            _metadata.drop_all(self._engine)  # a release with other columns; the register holds no work
         _metadata.create_all(self._engine)
 
     def close(self) -> None:
         """Release the database."""
         self._engine.dispose()
 
-    def submit(
-        self, process: str, inputs: Mapping[str, Any], body_hash: str, idempotency_key: str | None, correlation_id: str
-    ) -> tuple[Job, bool]:
+    def submit(self, asked: JobRequest, limit: int = 0) -> tuple[Job, bool]:
         """A new job, or the earlier one of the same idempotency key; and whether it is new.
 
         A key is freed by a job that failed or was dismissed. ConflictError: the key was used for another body.
+        TooManyJobsError: the owner has ``limit`` jobs waiting or running already (0: no limit).
         """
         try:
-            return self._submit(process, inputs, body_hash, idempotency_key, correlation_id)
+            return self._submit(asked, limit)
         except sa.exc.IntegrityError:  # another request took the key in between: now its job is found
-            return self._submit(process, inputs, body_hash, idempotency_key, correlation_id)
+            return self._submit(asked, limit)
 
-    def _submit(
-        self, process: str, inputs: Mapping[str, Any], body_hash: str, idempotency_key: str | None, correlation_id: str
-    ) -> tuple[Job, bool]:
+    def _submit(self, asked: JobRequest, limit: int) -> tuple[Job, bool]:
         with self._engine.begin() as connection:
-            if idempotency_key:
-                earlier = self._by_key(connection, idempotency_key, body_hash)
+            if asked.idempotency_key:
+                earlier = self._by_key(connection, asked.idempotency_key, asked.body_hash)
                 if earlier is not None:
                     return earlier, False
+            if limit:
+                _check_limit(connection, asked.owner, limit)
             sequence = (
                 connection.execute(sa.select(sa.func.coalesce(sa.func.max(_jobs.c.sequence), 0))).scalar_one() + 1
             )
             row = {
                 "id": uuid.uuid4().hex,
                 "sequence": sequence,
-                "process": process,
+                "process": asked.process,
                 "status": "accepted",
                 "progress": 0.0,
                 "message": "",
-                "inputs": json.dumps(inputs),
-                "idempotency_key": idempotency_key,
-                "body_hash": body_hash,
-                "correlation_id": correlation_id,
+                "inputs": json.dumps(asked.inputs),
+                "idempotency_key": asked.idempotency_key,
+                "body_hash": asked.body_hash,
+                "correlation_id": asked.correlation_id,
+                "owner": asked.owner,
                 "created": _now(),
                 "updated": _now(),
             }
@@ -158,11 +174,26 @@ class JobRegister:
             return [_job(dict(row)) for row in connection.execute(query).mappings()]
 
 
+def _outdated(engine: sa.Engine) -> bool:
+    """Whether the database holds a jobs table with other columns than this release's."""
+    inspector = sa.inspect(engine)
+    if not inspector.has_table(_jobs.name):
+        return False
+    return {column["name"] for column in inspector.get_columns(_jobs.name)} != {column.name for column in _jobs.c}
+
+
+def _check_limit(connection: sa.Connection, owner: str, limit: int) -> None:
+    mine = sa.select(sa.func.count()).where(_jobs.c.owner == owner, _jobs.c.status.not_in(FINAL))
+    open_jobs = connection.execute(mine).scalar_one()
+    if open_jobs >= limit:
+        raise TooManyJobsError(f"'{owner}' has {open_jobs} jobs waiting or running; the limit is {limit}.")
+
+
 def _job(row: Mapping[Any, Any]) -> Job:
     decoded: dict[str, Any] = {
         name: json.loads(row[name]) if row[name] else None for name in ("inputs", "outputs", "problem")
     }
-    names = ("id", "process", "status", "progress", "message", "correlation_id", "created", "updated")
+    names = ("id", "process", "status", "progress", "message", "correlation_id", "owner", "created", "updated")
     return Job(**{name: row[name] for name in names}, **decoded)
 
 

@@ -8,7 +8,6 @@ import multiprocessing
 import queue
 import threading
 from collections.abc import Callable
-from dataclasses import asdict
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 from shared.process.jobs import Job, JobRegister
 from shared.process.metrics import ServiceMetrics
 from shared.process.problem import problem
-from shared.process.worker import worker_main
+from shared.process.worker import WorkerSettings, worker_main
 from shared.settings import ServiceSettings
 from shared.telemetry import correlation_id, logger
 
@@ -38,7 +37,7 @@ class WorkerPool:
         self._jobs = jobs
         self._discard = discard
         self._metrics = metrics
-        self._arguments = (service, module, asdict(settings.roots), settings.log_level)
+        self._worker = WorkerSettings(service, module, settings.roots, settings.input_limits, settings.log_level)
         self._queue: queue.Queue[Job | None] = queue.Queue()
         self._ended: dict[str, threading.Event] = {}
         self._slots = [_Slot(self) for _ in range(settings.workers)]
@@ -145,7 +144,7 @@ class _Slot(threading.Thread):
             self.ready = False
             ours, theirs = _SPAWN.Pipe()
             # No daemon: those may have no children, and a job may fan out over processes.
-            process = _SPAWN.Process(target=worker_main, args=(theirs, *self._pool._arguments), daemon=False)
+            process = _SPAWN.Process(target=worker_main, args=(theirs, self._pool._worker), daemon=False)
             process.start()
             theirs.close()
             with self._lock:

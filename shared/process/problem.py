@@ -18,6 +18,8 @@ STATUS: dict[type[BaseException], tuple[int, str, str]] = {
     errors.MissingArtifactError: (422, "about:blank", "The referenced file does not exist"),
     errors.TamperedArtifactError: (422, "about:blank", "The referenced file has changed"),
     errors.ConflictError: (409, "about:blank", "The request contradicts an earlier one"),
+    errors.NotAllowedError: (403, "about:blank", "Not allowed"),
+    errors.TooManyJobsError: (429, "about:blank", "Too many jobs at once"),
     ValidationError: (422, "about:blank", "The request does not fit the process description"),
 }
 _NOT_FOUND = {

@@ -11,10 +11,13 @@ from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import JSONResponse, Response
 
+from shared.errors import NotAllowedError
 from shared.process import description
 from shared.process.jobs import Job
-from shared.process.problem import MEDIA_TYPE, problem
+from shared.process.problem import problem
+from shared.process.problem_answer import problem_response
 from shared.process.service import Answer, Service
+from shared.security.principal import Principal
 from shared.telemetry import correlation_id
 
 router = APIRouter()
@@ -23,6 +26,11 @@ router = APIRouter()
 def _service(request: Request) -> Service:
     service: Service = request.app.state.service
     return service
+
+
+def _principal(request: Request) -> Principal:
+    principal: Principal = request.state.principal
+    return principal
 
 
 def _base(request: Request) -> str:
@@ -72,7 +80,8 @@ async def execute(request: Request, process_id: str) -> Response:
     if isinstance(body, Response):
         return body
     key = request.headers.get("Idempotency-Key")
-    answer = await run_in_threadpool(service.execute, process_id, body, key, correlation_id.get())
+    owner = _principal(request).name
+    answer = await run_in_threadpool(service.execute, process_id, body, key, correlation_id.get(), owner)
     if "respond-async" in request.headers.get("Prefer", ""):
         return _accepted(request, answer)
     # Those who wait get threads of their own: they must not keep others from asking, or from dismissing a job.
@@ -124,7 +133,10 @@ def job_results(request: Request, job_id: str) -> dict[str, Any]:
 @router.delete("/jobs/{job_id}", summary="Dismiss a job")
 def dismiss(request: Request, job_id: str) -> dict[str, Any]:
     service = _service(request)
-    if not service.jobs.get(job_id).ended:
+    job, principal = service.jobs.get(job_id), _principal(request)
+    if job.owner != principal.name and not principal.may("admin"):
+        raise NotAllowedError(f"Job {job_id} belongs to '{job.owner}'; dismissing it needs the scope 'admin'.")
+    if not job.ended:
         service.pool.dismiss(job_id)
     return _status(service.jobs.get(job_id), _base(request))
 
@@ -146,11 +158,6 @@ def readyz(request: Request) -> Response:
 @router.get("/metrics", summary="Prometheus metrics", tags=["operations"])
 def metrics(request: Request) -> Response:
     return Response(_service(request).metrics.page(), media_type="text/plain; version=0.0.4")
-
-
-def problem_response(document: dict[str, Any]) -> Response:
-    """A problem document as an HTTP answer."""
-    return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
 
 
 def _status(job: Job, base: str) -> dict[str, Any]:

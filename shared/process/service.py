@@ -12,7 +12,7 @@ from shared.artifacts.store import ArtifactStore
 from shared.errors import DomainError, JobFailedError, NotFoundError
 from shared.process import execution
 from shared.process.declaration import Process, body_hash
-from shared.process.jobs import Job, JobRegister
+from shared.process.jobs import Job, JobRegister, JobRequest
 from shared.process.metrics import ServiceMetrics
 from shared.process.pool import WorkerPool
 from shared.process.problem import problem
@@ -79,7 +79,7 @@ class Service:
             raise NotFoundError("process", process_id, f"There is no process '{process_id}' here; there are: {known}.")
         return self.processes[process_id]
 
-    def execute(self, process_id: str, body: bytes, key: str | None, correlation: str) -> Answer:
+    def execute(self, process_id: str, body: bytes, key: str | None, correlation: str, owner: str = "") -> Answer:
         """Accept a request: validate, look for a finished step, else queue a job."""
         process = self.process(process_id)
         request = ExecuteRequest.model_validate_json(body)
@@ -87,11 +87,13 @@ class Service:
         inputs = execution.validate_inputs(process, request.inputs)
         step = execution.resolve_step(process, inputs, self.store, self._version)
         done = execution.finished_outputs(step, self.store)
-        request_of = (process_id, inputs.model_dump(mode="json"), body_hash(process_id, body), key, correlation)
-        job, is_new = self.jobs.submit(*request_of)
-        if not is_new and job.status == "successful" and done is None:
+        values = inputs.model_dump(mode="json")
+        asked = JobRequest(process_id, values, body_hash(process_id, body), key, correlation, owner)
+        limit = 0 if done else self.settings.max_jobs_per_key
+        job, is_new = self.jobs.submit(asked, limit)
+        if not is_new and job.status == "successful" and not (done or execution.finished_outputs(step, self.store)):
             self.jobs.free_key(job.id)  # the register remembers a success, but the store, which decides, has lost it
-            job, is_new = self.jobs.submit(*request_of)
+            job, is_new = self.jobs.submit(asked, limit)
         if is_new:
             if done is None:
                 logger().info("job accepted", process=process_id, job=job.id, key=step.address.key)

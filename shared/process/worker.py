@@ -6,11 +6,13 @@ import importlib
 import json
 import os
 import traceback
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
+from shared.contracts.limits import InputLimits
 from shared.errors import SmokeglintError
 from shared.lifeline import end_with_parent
 from shared.process import execution
@@ -19,13 +21,24 @@ from shared.process.problem import problem_of
 from shared.telemetry import configure_logging, correlation_id, logger
 
 
-def worker_main(connection: Connection, service: str, module: str, roots: dict[str, Any], log_level: str) -> None:
+@dataclass(frozen=True)
+class WorkerSettings:
+    """What a worker process is told: its service, the module of its processes, where and how much it may read."""
+
+    service: str
+    module: str
+    roots: Roots
+    limits: InputLimits
+    log_level: str
+
+
+def worker_main(connection: Connection, settings: WorkerSettings) -> None:
     """Serve jobs until the service closes the pipe or goes away."""
     end_with_parent(os.getppid())
-    configure_logging(f"{service}-worker", log_level)
-    processes = load_processes(module)
-    store = ArtifactStore(Roots(roots["artifact_root"], tuple(roots["read_roots"])))
-    version = execution.service_code_version(module)
+    configure_logging(f"{settings.service}-worker", settings.log_level)
+    processes = load_processes(settings.module)
+    store = ArtifactStore(settings.roots)
+    version = execution.service_code_version(settings.module)
     _send(connection, {"event": "ready"})
     while True:
         try:
@@ -33,7 +46,7 @@ def worker_main(connection: Connection, service: str, module: str, roots: dict[s
         except EOFError:
             return
         correlation_id.set(request["correlation_id"])
-        _send(connection, _run(connection, processes[request["process"]], request, store, service, version))
+        _send(connection, _run(connection, processes[request["process"]], request, store, version, settings))
 
 
 def load_processes(module: str) -> dict[str, Process]:
@@ -48,7 +61,12 @@ def load_processes(module: str) -> dict[str, Process]:
 
 
 def _run(
-    connection: Connection, process: Process, request: dict[str, Any], store: ArtifactStore, service: str, version: str
+    connection: Connection,
+    process: Process,
+    request: dict[str, Any],
+    store: ArtifactStore,
+    version: str,
+    settings: WorkerSettings,
 ) -> dict[str, Any]:
     def report(percent: float, message: str) -> None:
         _send(connection, {"event": "progress", "percent": percent, "message": message})
@@ -58,7 +76,7 @@ def _run(
         step = execution.resolve_step(process, inputs, store, version)
         outputs = execution.finished_outputs(step, store)
         if outputs is None:
-            outputs = execution.run_step(step, store, service, request["job"], report)
+            outputs = execution.run_step(step, store, settings.service, request["job"], report, settings.limits)
         return {"event": "done", "outputs": outputs}
     except Exception as error:
         if not isinstance(error, SmokeglintError):

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
-from shared.errors import ConflictError, NotFoundError
-from shared.process.jobs import FINAL, Job, JobRegister, Status
+from shared.errors import ConflictError, NotFoundError, TooManyJobsError
+from shared.process.jobs import FINAL, Job, JobRegister, JobRequest, Status
 
 PROBLEM = {"title": "The service was restarted", "status": 500}
 
@@ -29,11 +30,11 @@ def register(url: str) -> Iterator[JobRegister]:
 
 
 def submit(register: JobRegister, key: str | None = None, body: str = "h1", **inputs: Any) -> Job:
-    return register.submit("sleep", inputs, body, key, "cycle-7")[0]
+    return register.submit(JobRequest("sleep", inputs, body, key, "cycle-7", "ops"))[0]
 
 
 def test_a_new_job_is_accepted_and_found_again(register: JobRegister) -> None:
-    job, is_new = register.submit("sleep", {"seconds": 1, "area": [1, 2]}, "h1", None, "cycle-7")
+    job, is_new = register.submit(JobRequest("sleep", {"seconds": 1, "area": [1, 2]}, "h1", None, "cycle-7", "ops"))
     assert is_new
     assert (job.process, job.status, job.progress, job.message) == ("sleep", "accepted", 0.0, "")
     assert job.inputs == {"seconds": 1, "area": [1, 2]}
@@ -76,8 +77,8 @@ def test_an_ended_job_is_not_moved_on(register: JobRegister, end: Status, later:
 
 
 def test_the_same_key_is_the_same_job(register: JobRegister) -> None:
-    first, is_new = register.submit("sleep", {}, "h1", "k", "c1")
-    again, is_new_again = register.submit("sleep", {}, "h1", "k", "c2")
+    first, is_new = register.submit(JobRequest("sleep", {}, "h1", "k", "c1", "ops"))
+    again, is_new_again = register.submit(JobRequest("sleep", {}, "h1", "k", "c2", "ops"))
     assert (is_new, is_new_again) == (True, False)
     assert again == first
     assert submit(register, "other").id != first.id
@@ -116,7 +117,7 @@ def test_a_key_taken_between_look_and_insert_is_found(register: JobRegister, mon
         return found
 
     monkeypatch.setattr(register, "_by_key", look_late)
-    job, is_new = register.submit("sleep", {}, "h1", "k", "c")
+    job, is_new = register.submit(JobRequest("sleep", {}, "h1", "k", "c", "ops"))
     assert (job.id, is_new) == (other[1], False)
 
 
@@ -125,7 +126,7 @@ def test_requests_at_the_same_moment_share_a_job(register: JobRegister) -> None:
 
     def request(_: int) -> tuple[str, bool]:
         together.wait(timeout=10)
-        job, is_new = register.submit("sleep", {}, "h1", "k", "c")
+        job, is_new = register.submit(JobRequest("sleep", {}, "h1", "k", "c", "ops"))
         return job.id, is_new
 
     with ThreadPoolExecutor(6) as pool:
@@ -153,3 +154,34 @@ def test_after_a_restart_running_jobs_fail_and_queued_ones_wait_on(url: str) -> 
         assert submit(after, f"k{number}").id != lost.id, "its key is free"
     assert {job_id: after.get(job_id) for job_id in untouched} == untouched
     after.close()
+
+
+def test_an_owner_has_so_many_jobs_at_once_and_no_more(register: JobRegister) -> None:
+    def ask(owner: str) -> Job:
+        return register.submit(JobRequest("sleep", {}, "h1", None, "c", owner), limit=2)[0]
+
+    first = ask("ops")
+    ask("ops")
+    with pytest.raises(TooManyJobsError, match=r"'ops' has 2 jobs .* limit is 2"):
+        ask("ops")
+    ask("science")
+    register.update(first.id, "successful")
+    ask("ops")
+
+
+def test_the_same_request_again_is_no_further_job(register: JobRegister) -> None:
+    asked = JobRequest("sleep", {}, "h1", "k", "c", "ops")
+    assert register.submit(asked, limit=1)[1]
+    assert not register.submit(asked, limit=1)[1]
+
+
+def test_a_register_of_another_release_is_made_anew(url: str) -> None:
+    engine = sa.create_engine(url)
+    with engine.begin() as connection:
+        connection.execute(sa.text("CREATE TABLE jobs (id TEXT PRIMARY KEY, body TEXT)"))
+        connection.execute(sa.text("INSERT INTO jobs VALUES ('old', '{}')"))
+    engine.dispose()
+    opened = JobRegister(url)
+    assert opened.all() == []
+    assert submit(opened).owner == "ops"
+    opened.close()
