@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from services.access.coverage.search import Coverage, TargetCells, covered_targets, target_cells
 from services.access.ellipsoid import to_cartesian
-from services.access.events.contacts import Contact, Station, find_contacts
+from services.access.events.contacts import Contact, Station, find_contacts, part_by_duration
 from services.access.events.eclipses import Eclipse, find_eclipses
-from services.access.orbits.elements import ElementSet, name_transmitters, within_age
-from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, Ephemeris, propagate, resample
+from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, Ephemeris, resample
+from services.access.orbits.formats import Orbit
+from services.access.orbits.preparation import Prepared, choose_constellations, name_transmitters, prepare
 from services.access.specular.antenna import CYGNSS_BEAMS, BeamPair
 from services.access.specular.tracks import Cap, SpecularTrack, specular_track
 from shared.errors import DomainError
@@ -62,7 +63,8 @@ class Horizon:
 @dataclass(frozen=True)
 class AccessOptions:
     """What counts as access: radius about a specular point, incidence limit, beams, oldest elements, and the area that
-    specular points are kept in (lon_min, lat_min, lon_max, lat_max; lon_min > lon_max crosses the dateline)."""
+    specular points are kept in (lon_min, lat_min, lon_max, lat_max; lon_min > lon_max crosses the dateline). Letters of
+    the constellations used (None: all), and the shortest contact that counts."""
 
     target_radius_km: float = 10.0
     max_incidence_deg: float = 65.0
@@ -70,6 +72,8 @@ class AccessOptions:
     max_element_age_days: float = 30.0
     with_specular_points: bool = False
     area: Area | None = None
+    constellations: tuple[str, ...] | None = None
+    min_contact_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.area is None:
@@ -92,23 +96,28 @@ class SatelliteAccess:
     coverage: Coverage
     contacts: list[Contact]
     eclipses: list[Eclipse]
+    short_contacts: list[Contact] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Access:
-    """A prediction: one entry a receiver in order of name, and what was left out or is worth knowing."""
+    """A prediction: one entry a receiver in order of name, and what was left out or is worth knowing.
+
+    ``interpolation_m``: bound of the interpolation error of orbits given as tables, by name.
+    """
 
     horizon: Horizon
     options: AccessOptions
-    receivers: list[ElementSet]
-    transmitters: list[ElementSet]
+    receivers: list[Orbit]
+    transmitters: list[Orbit]
     satellites: list[SatelliteAccess]
     dropped: dict[str, str] = field(default_factory=dict)
+    interpolation_m: dict[str, float] = field(default_factory=dict)
 
 
 def predict(
-    receivers: Sequence[ElementSet],
-    transmitters: Sequence[ElementSet],
+    receivers: Sequence[Orbit],
+    transmitters: Sequence[Orbit],
     stations: Sequence[Station],
     targets_deg: tuple[Array, Array],
     horizon: Horizon,
@@ -122,10 +131,12 @@ def predict(
     that is no place or no orbit.
     """
     cells = target_cells(*targets_deg, options.target_radius_km)
-    used_rx, orbits_rx, dropped_rx = _orbits(receivers, horizon, options, RECEIVER_NODE_S, "receivers")
+    rx = _prepare(receivers, horizon, options, RECEIVER_NODE_S, "receivers")
     middle = horizon.start + timedelta(seconds=horizon.duration_s / 2)
     named, unnamed = name_transmitters(transmitters, middle)
-    used_tx, orbits_tx, dropped_tx = _orbits(named, horizon, options, TRANSMITTER_NODE_S, "transmitters")
+    chosen = choose_constellations(named, options.constellations)
+    tx = _prepare(chosen, horizon, options, TRANSMITTER_NODE_S, "transmitters")
+    orbits_rx, orbits_tx = rx.ephemerides, tx.ephemerides
     progress(10, f"{len(orbits_rx)} receivers and {len(orbits_tx)} transmitters propagated")
     caps = _caps(cells, options)
     work = partial(
@@ -138,23 +149,12 @@ def predict(
             progress(
                 10 + 70 * len(satellites) / len(orbits_rx), f"specular points and events of {done.track.satellite}"
             )
-    return Access(horizon, options, used_rx, used_tx, satellites, dropped_rx | unnamed | dropped_tx)
+    dropped = rx.dropped | unnamed | tx.dropped
+    return Access(horizon, options, rx.used, tx.used, satellites, dropped, rx.interpolation_m | tx.interpolation_m)
 
 
-def _orbits(
-    elements: Sequence[ElementSet], horizon: Horizon, options: AccessOptions, node_s: float, name: str
-) -> tuple[list[ElementSet], list[Ephemeris], dict[str, str]]:
-    fresh, old = within_age(elements, horizon.start, options.max_element_age_days, name)
-    ordered = sorted(fresh, key=lambda element: element.name)
-    orbits, failed = propagate(ordered, horizon.start, horizon.duration_s, node_s)
-    if not orbits:
-        reasons = "; ".join(f"{satellite}: {why}" for satellite, why in failed.items())
-        raise DomainError(
-            f"{name}: no satellite can be propagated over the horizon ({reasons}).",
-            field=name,
-            accepted="elements of satellites that are in orbit over the whole horizon",
-        )
-    return [element for element in ordered if element.name not in failed], orbits, old | failed
+def _prepare(orbits: Sequence[Orbit], horizon: Horizon, options: AccessOptions, node_s: float, name: str) -> Prepared:
+    return prepare(orbits, horizon.start, horizon.duration_s, node_s, options.max_element_age_days, name)
 
 
 def _satellite(
@@ -169,12 +169,9 @@ def _satellite(
 ) -> SatelliteAccess:
     steps = resample(orbit, float(horizon.step_s), horizon.count)
     track = specular_track(steps, transmitters, horizon.count, options.max_incidence_deg, options.beams, caps)
-    return SatelliteAccess(
-        track,
-        covered_targets(track, cells),
-        find_contacts(orbit, stations, float(horizon.duration_s)),
-        find_eclipses(orbit, float(horizon.duration_s)),
-    )
+    contacts, short = part_by_duration(find_contacts(orbit, stations, float(horizon.duration_s)), options.min_contact_s)
+    eclipses = find_eclipses(orbit, float(horizon.duration_s))
+    return SatelliteAccess(track, covered_targets(track, cells), contacts, eclipses, short)
 
 
 def _caps(cells: TargetCells, options: AccessOptions) -> list[Cap]:

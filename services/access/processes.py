@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import AwareDatetime, Field
 
 from shared.artifacts.reference import ArtifactRef
 from shared.process.context import JobContext
 from shared.process.declaration import Process, ProcessInputs, ProcessOutputs
 
+ORBIT_FORMATS = "TLE text, CCSDS OMM (JSON list, XML, KVN), CCSDS OEM (KVN, XML) or SP3, recognised by content"
+Constellation = Literal["GPS", "Galileo", "BeiDou", "QZSS"]
+
 
 class PredictAccessInputs(ProcessInputs):
     """Orbits, ground stations and point targets, and the time to predict."""
 
-    receivers: ArtifactRef = Field(description="elements of the receiving satellites: TLE text or CCSDS OMM JSON list")
-    transmitters: ArtifactRef = Field(description="elements of the GNSS satellites: TLE text or CCSDS OMM JSON list")
+    receivers: ArtifactRef | list[ArtifactRef] = Field(
+        description="orbits of the receiving satellites, one file or several: " + ORBIT_FORMATS
+    )
+    transmitters: ArtifactRef | list[ArtifactRef] = Field(
+        description="orbits of the GNSS satellites, one file or several: " + ORBIT_FORMATS
+    )
+    constellations: list[Constellation] | None = Field(
+        None, min_length=1, description="constellations whose signals are used; null: all that the transmitters hold"
+    )
+    min_contact_s: float = Field(
+        0.0, ge=0, le=3600, description="contacts shorter than this (s) are left out and named in the report"
+    )
     stations: ArtifactRef = Field(description="stations table")
     targets: ArtifactRef = Field(description="targets table: points to be covered")
     start: AwareDatetime = Field(description="start of the horizon, a whole second, with its time zone")
@@ -57,7 +72,8 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
 
     from services.access import prediction, products
     from services.access.events.contacts import Station
-    from services.access.orbits.elements import read_elements
+    from services.access.orbits.constellations import letters_of
+    from services.access.orbits.formats import read_files
 
     targets = context.read_table(inputs.targets, "TARGETS")
     stations = [
@@ -65,8 +81,8 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
         for row in context.read_table(inputs.stations, "STATIONS").itertuples()
     ]
     receivers, transmitters = (
-        read_elements(context.path(reference).read_text(encoding="utf-8", errors="replace"), name)
-        for name, reference in (("receivers", inputs.receivers), ("transmitters", inputs.transmitters))
+        read_files([(one.name, context.path(one).read_text(encoding="utf-8", errors="replace")) for one in files], name)
+        for name, files in (("receivers", _each(inputs.receivers)), ("transmitters", _each(inputs.transmitters)))
     )
     access = prediction.predict(
         receivers,
@@ -80,6 +96,8 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
             max_element_age_days=inputs.max_element_age_days,
             with_specular_points=inputs.with_specular_points,
             area=inputs.area,
+            constellations=letters_of(inputs.constellations),
+            min_contact_s=inputs.min_contact_s,
         ),
         context.progress,
     )
@@ -104,6 +122,10 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
         eclipse_count=counts["eclipses"],
         targets_covered=counts["targets_covered"],
     )
+
+
+def _each(reference: ArtifactRef | list[ArtifactRef]) -> list[ArtifactRef]:
+    return reference if isinstance(reference, list) else [reference]
 
 
 # Imported by a worker before its first job; the HTTP side stays light.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Any
 
 import geopandas
@@ -11,13 +12,11 @@ import shapely
 from numpy.typing import NDArray
 
 from services.access.ellipsoid import to_geodetic
-from services.access.orbits.elements import ElementSet
+from services.access.orbits import statement
+from services.access.orbits.formats import Orbit
 from services.access.orbits.orientation import orientation_at
+from services.access.orbits.preparation import left_out_warnings, missing_constellations
 from services.access.prediction import Access, Area, Horizon, SatelliteAccess, step_times
-
-OLD_ELEMENTS_DAYS = 7.0
-# tests/bench/bench_access.py measures it again: elements of 2022-12-03..05, day of 2022-12-04, 31 satellites
-GPS_POSITION_ERROR = {"median_km": 1.3, "p95_km": 4.2, "max_km": 4.9, "against": "IGS rapid orbits of 2022-12-04"}
 
 
 def opportunities_frame(access: Access, target_id: NDArray[np.int64]) -> pd.DataFrame:
@@ -111,13 +110,16 @@ def report(access: Access, target_count: int) -> dict[str, Any]:
         "start": horizon.start.isoformat(),
         "duration_s": horizon.duration_s,
         "step_s": horizon.step_s,
-        "receivers": [_element_row(element, access) for element in access.receivers],
-        "transmitters": [_element_row(element, access) for element in access.transmitters],
+        "receivers": [_orbit_row(orbit, access) for orbit in access.receivers],
+        "transmitters": [_orbit_row(orbit, access) for orbit in access.transmitters],
         "dropped": access.dropped,
-        "warnings": _warnings(access, in_table),
-        "position_error": {"gps_sgp4": GPS_POSITION_ERROR, "receivers": None},
+        "warnings": warnings(access),
+        "position_error": {"gps_sgp4": statement.GPS_POSITION_ERROR, "receivers": None},
         "method": {
-            "propagation": "SGP4; TEME to ITRF by GMST82, UT1 and polar motion of IERS finals2000A",
+            "propagation": "SGP4; TEME to ITRF by GMST82, UT1 and polar motion of IERS finals2000A; tables by splines "
+            "of degree 9",
+            "min_contact_s": options.min_contact_s,
+            "constellations": options.constellations,
             "earth_orientation_in_table": in_table,
             "specular_points": "WGS84, height 0, at the receiver's time (light time left out)",
             "target_radius_km": options.target_radius_km,
@@ -131,6 +133,7 @@ def report(access: Access, target_count: int) -> dict[str, Any]:
             "opportunities": int(sum(len(rows) for rows in covered)),
             "images": int(sum(len(np.unique(found.coverage.time_index)) for found in access.satellites)),
             "contacts": sum(len(found.contacts) for found in access.satellites),
+            "contacts_too_short": sum(len(found.short_contacts) for found in access.satellites),
             "eclipses": sum(len(found.eclipses) for found in access.satellites),
             "grazing_pairs_left_out": sum(found.track.grazing for found in access.satellites),
         },
@@ -142,24 +145,34 @@ def _worst_angle(found: SatelliteAccess) -> float:
     return float(found.track.mismatch_deg.max(initial=0.0))
 
 
-def _element_row(element: ElementSet, access: Access) -> dict[str, Any]:
-    return {
-        "satellite": element.name,
-        "catalogue_number": element.catalogue_number,
-        "epoch": element.epoch.isoformat(),
-        "age_days": round(element.age_days(access.horizon.start), 3),
-    }
+def _orbit_row(orbit: Orbit, access: Access) -> dict[str, Any]:
+    return statement.orbit_row(orbit, access.horizon.start, access.interpolation_m)
 
 
-def _warnings(access: Access, orientation_in_table: bool) -> list[str]:
-    old = [
-        f"{element.name}: elements of {element.epoch:%Y-%m-%d} lie {abs(age):.1f} days from the start"
-        for element in (*access.receivers, *access.transmitters)
-        if abs(age := element.age_days(access.horizon.start)) > OLD_ELEMENTS_DAYS
+def warnings(access: Access) -> list[str]:
+    """What may make the prediction worse than it looks: ages of orbits, satellites left out, short contacts."""
+    start, duration_s = access.horizon.start, access.horizon.duration_s
+    in_table = orientation_at(start, duration_s).in_table
+    beyond = [] if in_table else ["UT1 and polar motion: the horizon lies beyond the shipped IERS table"]
+    used = (*access.receivers, *access.transmitters)
+    return [
+        *statement.orbit_warnings(used, start),
+        *left_out_warnings(access.dropped),
+        *missing_constellations(access.transmitters, access.options.constellations),
+        *_short_contacts(access),
+        *beyond,
     ]
-    left_out = [f"{name} left out: {why}" for name, why in sorted(access.dropped.items())]
-    beyond = [] if orientation_in_table else ["UT1 and polar motion: the horizon lies beyond the shipped IERS table"]
-    return old + left_out + beyond
+
+
+def _short_contacts(access: Access) -> list[str]:
+    least = access.options.min_contact_s
+    start = access.horizon.start
+    return [
+        f"contact of {row.satellite} with {row.station} at {start + timedelta(seconds=row.start_s):%Y-%m-%dT%H:%M:%SZ} "
+        f"left out: {row.end_s - row.start_s:.1f} s is shorter than the {least:g} s asked for"
+        for found in access.satellites
+        for row in found.short_contacts
+    ]
 
 
 def _codes(access: Access) -> NDArray[np.object_]:

@@ -89,6 +89,12 @@ def find_contacts(ephemeris: Ephemeris, stations: Sequence[Station], end_s: floa
     return found
 
 
+def part_by_duration(contacts: Sequence[Contact], least_s: float) -> tuple[list[Contact], list[Contact]]:
+    """Contacts that last at least ``least_s``, and the others. One cut by the horizon counts with what is left of it."""
+    long = [contact for contact in contacts if contact.end_s - contact.start_s >= least_s]
+    return long, [contact for contact in contacts if contact.end_s - contact.start_s < least_s]
+
+
 def sample_times(ephemeris: Ephemeris, end_s: float, step_s: float = 10.0) -> Array:
     """Times from 0 to ``end_s`` at most ``step_s`` apart, the end included."""
     step = max(step_s, ephemeris.step_s) if ephemeris.step_s > step_s else step_s

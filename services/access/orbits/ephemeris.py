@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 RECEIVER_NODE_S = 10.0
 TRANSMITTER_NODE_S = 60.0
+LOWEST_RADIUS_M = 6.478e6  # 100 km over the equator: no orbit lasts there
 
 
 @dataclass(frozen=True)
@@ -71,15 +72,15 @@ def _hermite(ephemeris: Ephemeris, index: NDArray[np.int64], share: Array) -> tu
 def propagate(
     elements: Sequence[ElementSet], start: datetime, duration_s: float, node_s: float
 ) -> tuple[list[Ephemeris], dict[str, str]]:
-    """SGP4 states every ``node_s`` seconds from ``start`` to at least ``duration_s``; and failures: name -> reason.
+    """SGP4 states on the nodes of the horizon (``node_times``) from ``start`` (UTC); and failures: name -> reason.
 
-    A satellite for which SGP4 reports an error anywhere (decayed, eccentricity out of range, ...) is left out whole.
+    A satellite for which SGP4 reports an error anywhere (decayed, eccentricity out of range, ...), that comes below
+    100 km, or that the catalogue says has come down before the end, is left out whole.
     Vallado et al., AIAA 2006-6753 through the sgp4 package (WGS72 constants, as the elements are made with).
     """
     if not elements:
         return [], {}
-    # One node is more than enough in exact arithmetic; the second keeps interpolation at the very end inside the grid.
-    t_s = np.arange(int(np.ceil(duration_s / node_s)) + 2) * node_s
+    t_s = node_times(duration_s, node_s)
     day, fraction = jday_datetime(start)
     errors, position_km, velocity_km_s = SatrecArray([element.record for element in elements]).sgp4(
         np.full(len(t_s), day), fraction + t_s / 86400.0
@@ -88,14 +89,33 @@ def propagate(
     position, velocity = teme_to_itrf(position_km * 1000.0, velocity_km_s * 1000.0, t_s, orientation)
     kept: list[Ephemeris] = []
     dropped: dict[str, str] = {}
+    end = start + timedelta(seconds=duration_s)
     for row, element in enumerate(elements):
-        bad = np.flatnonzero(errors[row])
-        if len(bad):
-            code = int(errors[row, bad[0]])
-            dropped[element.name] = f"SGP4 fails {t_s[bad[0]]:g} s after the start: {SGP4_ERRORS.get(code, code)}"
+        reason = _failure(errors[row], position[row], t_s)
+        if element.decayed is not None and element.decayed < end:
+            reason = f"the catalogue says that it came down on {element.decayed:%Y-%m-%d}"
+        if reason:
+            dropped[element.name] = f"{reason} ({element.where})"
         else:
-            kept.append(Ephemeris(element.name, start, node_s, position[row], velocity[row]))
+            kept.append(Ephemeris(element.name, start, float(t_s[1]), position[row], velocity[row]))
     return kept, dropped
+
+
+def node_times(duration_s: float, node_s: float) -> Array:
+    """Even times (n,) from 0 to exactly ``duration_s``, at most ``node_s`` apart."""
+    count = max(int(np.ceil(duration_s / node_s)), 1)
+    return np.arange(count + 1) * (duration_s / count)
+
+
+def _failure(errors: NDArray[np.uint8], position_m: Array, t_s: Array) -> str:
+    bad = np.flatnonzero(errors)
+    if len(bad):
+        code = int(errors[bad[0]])
+        return f"SGP4 fails {t_s[bad[0]]:g} s after the start: {SGP4_ERRORS.get(code, code)}"
+    low = np.flatnonzero(np.linalg.norm(position_m, axis=1) < LOWEST_RADIUS_M)
+    if len(low):
+        return f"decayed: below 100 km {t_s[low[0]]:g} s after the start"
+    return ""
 
 
 def resample(ephemeris: Ephemeris, step_s: float, count: int) -> Ephemeris:

@@ -1,7 +1,6 @@
-"""Earth orientation: UT1 and polar motion from the IERS tables shipped offline, and the frames that SGP4 and GMAT use.
+"""Earth orientation: UT1 and polar motion from the IERS tables shipped offline, and the frames that orbits come in.
 
-Angles from UT1 = UTC + (UT1-UTC), interpolated linearly between days. Tidal terms inside a day (< 0.1 ms, 5 cm on the
-ground) are left out.
+Angles from UT1 = UTC + (UT1-UTC). Tidal terms inside a day (< 0.1 ms, 5 cm on the ground) are left out.
 """
 
 from __future__ import annotations
@@ -14,52 +13,69 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from services.access.orbits.time_scales import TT_MINUS_TAI_S, tai_minus_utc_s
+
 Array = NDArray[np.float64]
 
 EARTH_ROTATION_RAD_S = 7.292115146706979e-5  # Vallado, Fundamentals of Astrodynamics (2013), eq. 3-75
 ARCSEC_RAD = np.pi / 648000.0
 MJD_EPOCH = datetime(1858, 11, 17, tzinfo=UTC)
-TT_MINUS_UTC_S = 69.184  # since 2017; 1 s of error turns the Sun by 1e-5 degrees
+J2000_JD = 2451545.0
+NODE_S = 1800.0  # precession and nutation are linear to 1e-11 rad over it (their fastest terms take 4.7 days)
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """Earth orientation over a horizon: x, y of the pole (rad), UT1-UTC (s), and whether the table covered it."""
+    """Earth orientation over a horizon: x, y of the pole (rad), UT1-UTC (s) at the start and its change in s a day,
+    and whether the table covered it."""
 
     start: datetime
     pole_x_rad: float
     pole_y_rad: float
     ut1_utc_s: float
     in_table: bool
+    ut1_rate_s_day: float = 0.0
 
     def days_ut1(self, t_s: Array) -> Array:
         """Days of UT1 since J2000.0 (JD 2451545.0) at seconds after the start."""
-        return self._days(t_s, self.ut1_utc_s)
+        t_s = np.asarray(t_s)
+        return self._days(t_s, self.ut1_utc_s + self.ut1_rate_s_day / 86400.0 * t_s)
 
     def days_tt(self, t_s: Array) -> Array:
         """Days of TT since J2000.0 at seconds after the start."""
-        return self._days(t_s, TT_MINUS_UTC_S)
+        return self._days(t_s, np.float64(tai_minus_utc_s(self.start) + TT_MINUS_TAI_S))
 
-    def _days(self, t_s: Array, offset_s: float) -> Array:
+    def _days(self, t_s: Array, offset_s: Array | np.float64) -> Array:
         whole = (self.start - datetime(2000, 1, 1, 12, tzinfo=UTC)) / timedelta(days=1)
         return np.asarray(whole + (np.asarray(t_s) + offset_s) / 86400.0)
 
 
 def orientation_at(start: datetime, duration_s: float = 0.0) -> Orientation:
-    """Orientation at the middle of a horizon, held constant over it (a day moves UT1 by about 1 ms, 0.5 m).
+    """Orientation over a horizon: UT1 linear from its start to its end, the pole as in its middle (6 cm a day).
 
     ``start`` is UTC. From finals2000A.all of astropy-iers-data (IERS Bulletin A with predictions of a year); beyond its
     ends the nearest entry holds and ``in_table`` is False.
     """
-    mjd, values = _finals2000a()
-    middle = (start - MJD_EPOCH) / timedelta(days=1) + duration_s / 172800.0
-    inside = bool(mjd[0] <= middle <= mjd[-1])
-    index = int(np.clip(np.searchsorted(mjd, middle, side="right") - 1, 0, len(mjd) - 2))
-    share = float(np.clip(middle - mjd[index], 0.0, 1.0))
+    first = (start - MJD_EPOCH) / timedelta(days=1)
+    days = duration_s / 86400.0
+    _, _, at_start, inside_start = _entry(first)
+    x, y, _, _ = _entry(first + days / 2.0)
+    _, _, at_end, inside_end = _entry(first + days)
+    rise = at_end - at_start
+    rise -= round(rise)  # a leap second on the way is no rotation
+    rate = rise / days if days > 0.0 else 0.0
+    return Orientation(start, x * ARCSEC_RAD, y * ARCSEC_RAD, at_start, inside_start and inside_end, rate)
+
+
+def _entry(mjd: float) -> tuple[float, float, float, bool]:
+    """x, y (arcsec), UT1-UTC (s) between the days of the table, and whether the table reaches there."""
+    days, values = _finals2000a()
+    index = int(np.clip(np.searchsorted(days, mjd, side="right") - 1, 0, len(days) - 2))
+    share = float(np.clip(mjd - days[index], 0.0, 1.0))
     before, after = values[index], values[index + 1].copy()
     after[2] -= round(after[2] - before[2])  # a leap second between the two days is no rotation
     x, y, ut1_utc = before + share * (after - before)
-    return Orientation(start, float(x) * ARCSEC_RAD, float(y) * ARCSEC_RAD, float(ut1_utc), inside)
+    return float(x), float(y), float(ut1_utc), bool(days[0] <= mjd <= days[-1])
 
 
 @cache
@@ -91,50 +107,36 @@ def teme_to_itrf(position: Array, velocity: Array, t_s: Array, orientation: Orie
     return _spin(position, velocity, gmst82_rad(orientation.days_ut1(t_s)), orientation)
 
 
-def j2000_to_itrf(position: Array, velocity: Array, t_s: Array, orientation: Orientation) -> tuple[Array, Array]:
-    """Positions (n, 3) and velocities from the mean equator and equinox of J2000 (GMAT's EarthMJ2000Eq) to ITRF.
+def gcrs_to_itrf(position: Array, velocity: Array, t_s: Array, orientation: Orientation) -> tuple[Array, Array]:
+    """Positions (n, 3) and velocities from the geocentric celestial frame (GCRF, the axes of ICRF) to ITRF.
 
-    Precession IAU 1976, the eight largest nutation terms of IAU 1980 (the rest stay under 0.2 arcsec, 7 m at a LEO).
+    Bias, precession and nutation IAU 2006/2000A and Greenwich apparent sidereal time by ERFA (the IAU's SOFA), at nodes
+    of 30 minutes and linear between them. The pole's offsets against that model (under 1 mas, 3 cm) are left out.
     """
-    t = orientation.days_tt(t_s) / 36525.0
-    dpsi, deps = _nutation(t)
-    mean_obliquity = (84381.448 - 46.8150 * t - 0.00059 * t**2) * ARCSEC_RAD
-    zeta = (2306.2181 * t + 0.30188 * t**2) * ARCSEC_RAD
-    z = (2306.2181 * t + 1.09468 * t**2) * ARCSEC_RAD
-    theta = (2004.3109 * t - 0.42665 * t**2) * ARCSEC_RAD
-    turned = []
-    for vector in (position, velocity):
-        mean = rotate_z(rotate_y(rotate_z(vector, -zeta), theta), -z)
-        turned.append(rotate_x(rotate_z(rotate_x(mean, mean_obliquity), -dpsi), -mean_obliquity - deps))
-    sidereal = gmst82_rad(orientation.days_ut1(t_s)) + dpsi * np.cos(mean_obliquity)
-    return _spin(turned[0], turned[1], sidereal, orientation)
+    import erfa
+
+    t_s = np.asarray(t_s, dtype=np.float64)
+    first, last = t_s.min(), t_s.max() + 1.0
+    nodes = np.linspace(first, last, 2 + int((last - first) / NODE_S))
+    turn = erfa.pnm06a(J2000_JD, orientation.days_tt(nodes))
+    ut1 = orientation.days_ut1(nodes)
+    beyond = np.unwrap(
+        erfa.gst06(J2000_JD, ut1, J2000_JD, orientation.days_tt(nodes), turn) - erfa.era00(J2000_JD, ut1)
+    )
+    angle = erfa.era00(J2000_JD, orientation.days_ut1(t_s)) + np.interp(t_s, nodes, beyond)
+    row = np.clip(np.searchsorted(nodes, t_s, side="right") - 1, 0, len(nodes) - 2)
+    share = ((t_s - nodes[row]) / (nodes[1] - nodes[0]))[:, np.newaxis, np.newaxis]
+    matrix = turn[row] + share * (turn[row + 1] - turn[row])
+    of_date = [np.einsum("nij,nj->ni", matrix, vector) for vector in (position, velocity)]
+    return _spin(of_date[0], of_date[1], angle, orientation)
 
 
-def _nutation(t: Array) -> tuple[Array, Array]:
-    """Nutation in longitude and obliquity (rad): Meeus, Astronomical Algorithms (1998), table 22.A, largest terms."""
-    d, m, mp, f, om = (
-        np.radians(a + b * t)
-        for a, b in (
-            (297.85036, 445267.111480),
-            (357.52772, 35999.050340),
-            (134.96298, 477198.867398),
-            (93.27191, 483202.017538),
-            (125.04452, -1934.136261),
-        )
-    )
-    terms = (
-        (om, -17.1996, 9.2025),
-        (2 * (f + om - d), -1.3187, 0.5736),
-        (2 * (f + om), -0.2274, 0.0977),
-        (2 * om, 0.2062, -0.0895),
-        (m, 0.1426, 0.0054),
-        (mp, 0.0712, -0.0007),
-        (2 * (f + om - d) + m, -0.0517, 0.0224),
-        (2 * f + om, -0.0386, 0.0200),
-    )
-    dpsi = sum(in_longitude * np.sin(argument) for argument, in_longitude, _ in terms)
-    deps = sum(in_obliquity * np.cos(argument) for argument, _, in_obliquity in terms)
-    return np.asarray(dpsi * ARCSEC_RAD), np.asarray(deps * ARCSEC_RAD)
+def eme2000_to_gcrs(vector: Array) -> Array:
+    """Vectors (n, 3) from the mean equator and equinox of J2000 to GCRF: the frame bias, 0.02 arcsec (IAU 2000)."""
+    import erfa
+
+    bias = erfa.bp06(J2000_JD, 0.0)[0]
+    return np.asarray(vector @ bias)
 
 
 def _spin(position: Array, velocity: Array, angle_rad: Array, orientation: Orientation) -> tuple[Array, Array]:
@@ -145,20 +147,6 @@ def _spin(position: Array, velocity: Array, angle_rad: Array, orientation: Orien
     x, y = orientation.pole_x_rad, orientation.pole_y_rad
     pole = np.array([[1.0, 0.0, x], [0.0, 1.0, -y], [-x, y, 1.0]])
     return fixed @ pole.T, moving @ pole.T
-
-
-def rotate_x(vector: Array, angle_rad: Array) -> Array:
-    """Vectors (..., n, 3) seen from axes turned about x by (n,) angles."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    return np.stack([x, c * y + s * z, c * z - s * y], axis=-1)
-
-
-def rotate_y(vector: Array, angle_rad: Array) -> Array:
-    """Vectors (..., n, 3) seen from axes turned about y by (n,) angles."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    return np.stack([c * x - s * z, y, s * x + c * z], axis=-1)
 
 
 def rotate_z(vector: Array, angle_rad: Array) -> Array:

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from services.access.orbits.constellations import transmitter_code
-from services.access.orbits.elements import name_transmitters, read_elements, within_age
+from services.access.orbits.elements import within_age
+from services.access.orbits.formats import read_orbits
+from services.access.orbits.preparation import name_transmitters
 from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
 
@@ -32,25 +34,25 @@ OMM_CYGFM05 = {
 
 def _fault(text: str) -> DomainError:
     with pytest.raises(DomainError) as caught:
-        read_elements(text, "receivers")
+        read_orbits(text, "receivers")
     assert caught.value.field == "receivers"
     return caught.value
 
 
 def test_names_and_epochs_are_read() -> None:
-    first, second = read_elements(RECEIVERS)
+    first, second = read_orbits(RECEIVERS)
     assert (first.name, first.catalogue_number, second.name) == ("CYGFM05", 41884, "CYGFM04")
     assert abs(first.epoch - datetime(2022, 12, 4, 1, 28, 2, 316288, tzinfo=UTC)) < timedelta(milliseconds=1)
 
 
 def test_names_may_be_missing_and_lines_may_end_as_windows_ends_them() -> None:
     bare = "\r\n".join(line for line in RECEIVERS.splitlines() if line[0] in "12")
-    assert [element.name for element in read_elements(bare)] == ["41884", "41885"]
+    assert [element.name for element in read_orbits(bare)] == ["41884", "41885"]
 
 
 def test_omm_gives_the_orbit_of_the_tle() -> None:
-    (from_omm,) = read_elements(json.dumps([OMM_CYGFM05]))
-    from_tle = read_elements(RECEIVERS)[0]
+    (from_omm,) = read_orbits(json.dumps([OMM_CYGFM05]))
+    from_tle = read_orbits(RECEIVERS)[0]
     when = from_tle.record.jdsatepoch, from_tle.record.jdsatepochF + 0.5
     for ours, theirs in zip(from_omm.record.sgp4(*when)[1], from_tle.record.sgp4(*when)[1], strict=True):
         assert ours == pytest.approx(theirs, abs=1e-3)
@@ -86,11 +88,11 @@ def test_broken_elements_are_named(text: str, what: str) -> None:
 
 
 def test_transmitters_take_their_codes() -> None:
-    named, dropped = name_transmitters(read_elements(TRANSMITTERS), START)
+    named, dropped = name_transmitters(read_orbits(TRANSMITTERS), START)
     assert [element.name for element in named][:3] == ["G02", "G07", "G12"]
     assert dropped == {}
     with pytest.raises(DomainError, match="not one of 2 satellites has a known ranging code"):
-        name_transmitters(read_elements(RECEIVERS), START)
+        name_transmitters(read_orbits(RECEIVERS), START)
 
 
 def test_codes_change_hands() -> None:
@@ -106,7 +108,7 @@ def test_codes_change_hands() -> None:
 
 
 def test_old_elements_are_left_out_and_named_when_all_are_old() -> None:
-    elements = read_elements(RECEIVERS)
+    elements = read_orbits(RECEIVERS)
     near, dropped = within_age(elements, START, 0.2, "receivers")
     assert [element.name for element in near] == ["CYGFM05"]
     assert "line 5" in dropped["CYGFM04"]
@@ -116,7 +118,7 @@ def test_old_elements_are_left_out_and_named_when_all_are_old() -> None:
 
 def test_published_codes_agree_with_the_table(real_data: Path) -> None:
     for constellation in ("gps", "galileo"):
-        elements = read_elements((real_data / f"orbits/tle_20221204/{constellation}.tle").read_text())
+        elements = read_orbits((real_data / f"orbits/tle_20221204/{constellation}.tle").read_text())
         for element in elements:
             if "PRN" in element.name:
                 printed = transmitter_code(element.name, 0, START)
@@ -125,7 +127,7 @@ def test_published_codes_agree_with_the_table(real_data: Path) -> None:
 
 @pytest.mark.parametrize("path", ["tle_20200730/gps.tle", "tle_20220505/gps.tle", "omm_20250831/galileo.json"])
 def test_real_sets_are_named_without_doubles(real_data: Path, path: str) -> None:
-    elements = read_elements((real_data / "orbits" / path).read_text())
+    elements = read_orbits((real_data / "orbits" / path).read_text())
     named, dropped = name_transmitters(elements, elements[0].epoch)
     assert len(named) + len(dropped) == len(elements)
     assert len(named) >= 28

@@ -14,8 +14,8 @@ from services.access.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M, to_cartesian
 from services.access.events.contacts import Station, find_contacts, sine_elevation
 from services.access.events.crossings import maximum_in, positive_intervals
 from services.access.events.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_position_itrf
-from services.access.orbits.elements import read_elements
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
+from services.access.orbits.formats import read_orbits
 from services.access.orbits.orientation import gmst82_rad, orientation_at
 from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START
@@ -30,7 +30,7 @@ STATIONS = (
 
 @pytest.fixture(scope="module")
 def orbit() -> Ephemeris:
-    return propagate(read_elements(RECEIVERS), START, 86400.0, 10.0)[0][0]
+    return propagate(read_orbits(RECEIVERS), START, 86400.0, 10.0)[0][0]
 
 
 def test_edges_of_a_sine_are_found_far_below_the_step() -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from services.access.ellipsoid import to_cartesian
-from services.access.orbits.elements import name_transmitters, read_elements
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
+from services.access.orbits.formats import read_orbits
+from services.access.orbits.preparation import name_transmitters
 from services.access.specular.antenna import CYGNSS_BEAMS, BeamPair, body_axes
 from services.access.specular.points import specular_points
 from services.access.specular.reflection import SOLVED, beam_gain_dbi
@@ -21,8 +22,8 @@ COUNT = 5400
 
 @pytest.fixture(scope="module")
 def orbits() -> tuple[Ephemeris, list[Ephemeris]]:
-    receiver = propagate(read_elements(RECEIVERS), START, COUNT, 10.0)[0][0]
-    named, _ = name_transmitters(read_elements(TRANSMITTERS), START)
+    receiver = propagate(read_orbits(RECEIVERS), START, COUNT, 10.0)[0][0]
+    named, _ = name_transmitters(read_orbits(TRANSMITTERS), START)
     return resample(receiver, 1.0, COUNT), propagate(named, START, COUNT, 60.0)[0]
 
 

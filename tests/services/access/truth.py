@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from services.access.events.contacts import Station, find_contacts
 from services.access.events.eclipses import find_eclipses
-from services.access.orbits.elements import name_transmitters, read_elements
+from services.access.orbits.elements import ElementSet
 from services.access.orbits.ephemeris import Ephemeris, propagate
-from services.access.orbits.orientation import j2000_to_itrf, orientation_at
-
-GPS_MINUS_UTC_S = 18.0
+from services.access.orbits.formats import read_orbits
+from services.access.orbits.preparation import name_transmitters
+from services.access.orbits.tabulated import TabulatedOrbit, interpolate
 
 # The stations of cygfm01.script: StateType = Spherical, MinimumElevationAngle; kilometres there, metres here
 GMAT_STATIONS = (
@@ -32,14 +32,26 @@ def _time(text: str) -> datetime:
     return datetime.strptime(text, "%d %b %Y %H:%M:%S.%f").replace(tzinfo=UTC)
 
 
-def gmat_ephemeris(folder: Path) -> Ephemeris:
-    """GMAT's 10 s Cartesian track (EarthMJ2000Eq, km) in ITRF."""
+def gmat_oem(folder: Path) -> str:
+    """GMAT's 10 s Cartesian track (EarthMJ2000Eq, km) as a CCSDS OEM, digits as printed."""
     lines = [line for line in (folder / "Cartesian.txt").read_text().splitlines()[1:] if line.strip()]
-    times = [_time(line[:24]) for line in lines]
-    states = np.array([[float(number) for number in line[24:].split()] for line in lines]) * 1000.0
-    t_s = np.array([(time - times[0]).total_seconds() for time in times])
-    position, velocity = j2000_to_itrf(states[:, :3], states[:, 3:], t_s, orientation_at(times[0], float(t_s[-1])))
-    return Ephemeris("CYGFM01", times[0], float(t_s[1]), position, velocity)
+    states = [f"{_time(line[:24]):%Y-%m-%dT%H:%M:%S.%f} {' '.join(line[24:].split())}" for line in lines]
+    head = (
+        "CCSDS_OEM_VERS = 2.0\nCREATION_DATE = 2025-12-16T00:00:00\nORIGINATOR = GMAT\n\nMETA_START\n"
+        "OBJECT_NAME = CYGFM01\nOBJECT_ID = 2016-078D\nCENTER_NAME = EARTH\nREF_FRAME = EME2000\nTIME_SYSTEM = UTC\n"
+        f"START_TIME = {states[0].split()[0]}\nSTOP_TIME = {states[-1].split()[0]}\nMETA_STOP\n"
+    )
+    return head + "\n".join(states) + "\n"
+
+
+def gmat_ephemeris(folder: Path) -> Ephemeris:
+    """GMAT's track, through the OEM reader."""
+    (orbit,) = read_orbits(gmat_oem(folder))
+    assert isinstance(orbit, TabulatedOrbit)
+    span_s = (orbit.last - orbit.first).total_seconds()
+    (ephemeris,), dropped, _ = interpolate([orbit], orbit.first, span_s, 10.0)
+    assert not dropped
+    return ephemeris
 
 
 def gmat_rows(file: Path, start: datetime) -> list[tuple[float, float, str]]:
@@ -73,28 +85,25 @@ def gmat_eclipse_differences_s(folder: Path) -> NDArray[np.float64]:
     return np.array([(a.start_s - b[0], a.end_s - b[1]) for a, b in zip(found, expected, strict=True)])
 
 
-def sp3_positions(file: Path) -> tuple[datetime, NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """First epoch (UTC), seconds after it, and positions (n, 3) in metres by satellite of an SP3 file in GPS time."""
-    times: list[datetime] = []
-    positions: dict[str, list[list[float]]] = {}
-    for line in file.read_text().splitlines():
-        if line.startswith("*"):
-            year, month, day, hour, minute = (int(number) for number in line.split()[1:6])
-            times.append(datetime(year, month, day, hour, minute, tzinfo=UTC))
-        elif line.startswith("P"):
-            positions.setdefault(line[1:4], []).append([float(number) * 1000.0 for number in line[4:46].split()])
-    t_s = np.array([(time - times[0]).total_seconds() for time in times])
-    first = datetime.fromtimestamp(times[0].timestamp() - GPS_MINUS_UTC_S, tz=UTC)
-    return first, t_s, {name: np.array(rows) for name, rows in positions.items()}
-
-
 def gps_sp3_distances_km(data: Path) -> dict[str, NDArray[np.float64]]:
     """Distances of SGP4 (elements of 2022-12) from IGS rapid orbits of 2022-12-04, by satellite."""
-    first, t_s, truth = sp3_positions(data / "orbits/sp3/IGS0OPSRAP_20223380000_01D_15M_ORB.SP3")
-    elements = read_elements((data / "orbits/tle_20221204/gps.tle").read_text())
-    orbits, _ = propagate(name_transmitters(elements, first)[0], first, float(t_s[-1]), 60.0)
+    truth = sp3_orbits(data, "IGS0OPSRAP_20223380000_01D_15M_ORB.SP3")
+    elements = read_orbits((data / "orbits/tle_20221204/gps.tle").read_text())
+    first = next(iter(truth.values())).first
+    span_s = float(next(iter(truth.values())).segments[0].times_s[-1])
+    named, _ = name_transmitters(elements, first)
+    orbits, _ = propagate([each for each in named if isinstance(each, ElementSet)], first, span_s, 60.0)
     return {
-        orbit.name: np.linalg.norm(orbit.states(t_s)[0] - truth[orbit.name], axis=1) / 1000.0
+        orbit.name: np.linalg.norm(
+            orbit.states(truth[orbit.name].segments[0].times_s)[0] - truth[orbit.name].segments[0].position_m, axis=1
+        )
+        / 1000.0
         for orbit in orbits
         if orbit.name in truth
     }
+
+
+def sp3_orbits(data: Path, name: str) -> dict[str, TabulatedOrbit]:
+    """The satellites of one of the SP3 files, through the SP3 reader."""
+    orbits = read_orbits((data / "orbits/sp3" / name).read_text())
+    return {orbit.name: orbit for orbit in orbits if isinstance(orbit, TabulatedOrbit)}
