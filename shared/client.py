@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import httpx
-from tenacity import Retrying, retry_if_exception, stop_after_attempt, wait_exponential_jitter
+from tenacity import RetryCallState, Retrying, retry_if_exception, stop_after_attempt, wait_exponential_jitter
 
 from shared.errors import JobFailedError
 from shared.process.declaration import body_hash
@@ -16,6 +18,8 @@ from shared.telemetry import CORRELATION_HEADER
 
 Progress = Callable[[float, str], None]
 _POLL_FIRST_S, _POLL_LAST_S = 0.05, 0.25
+_BACKOFF = wait_exponential_jitter(initial=0.2, max=5.0)
+_LONGEST_PAUSE_S = 60.0
 
 
 def is_transient(error: BaseException) -> bool:
@@ -26,7 +30,11 @@ def is_transient(error: BaseException) -> bool:
 
 
 class ProcessClient:
-    """Talks to one service. ``attempts`` bounds the tries of each request."""
+    """Talks to one service. ``attempts`` bounds the tries of each request.
+
+    ``api_key`` is sent as a bearer credential; by default the one of ``SMOKEGLINT_API_KEY``, or in the file that
+    ``SMOKEGLINT_API_KEY_FILE`` names.
+    """
 
     def __init__(
         self,
@@ -35,9 +43,12 @@ class ProcessClient:
         correlation_id: str = "",
         timeout_s: float = 30.0,
         attempts: int = 6,
+        api_key: str | None = None,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
         headers = {CORRELATION_HEADER: correlation_id} if correlation_id else {}
+        if key := credential_of_environment() if api_key is None else api_key:
+            headers["Authorization"] = f"Bearer {key}"
         self._http = httpx.Client(base_url=base_url, headers=headers, timeout=timeout_s, transport=transport)
         self._attempts = attempts
 
@@ -91,7 +102,7 @@ class ProcessClient:
     def _request(self, method: str, path: str, *, retried: bool = True, **options: Any) -> dict[str, Any]:
         retrying = Retrying(
             retry=retry_if_exception(is_transient),
-            wait=wait_exponential_jitter(initial=0.2, max=5.0),
+            wait=_pause_s,
             stop=stop_after_attempt(self._attempts if retried else 1),
             reraise=True,
         )
@@ -105,6 +116,21 @@ class ProcessClient:
         response.raise_for_status()
         document: dict[str, Any] = response.json()
         return document
+
+
+def credential_of_environment() -> str:
+    """The API key or token that this process was given; empty if none."""
+    if key := os.environ.get("SMOKEGLINT_API_KEY", ""):
+        return key
+    file = os.environ.get("SMOKEGLINT_API_KEY_FILE", "")
+    return Path(file).read_text(encoding="utf-8").strip() if file else ""
+
+
+def _pause_s(state: RetryCallState) -> float:
+    """Ever longer with a jitter, and at least as long as the service asks (``Retry-After``)."""
+    error = state.outcome.exception() if state.outcome else None
+    asked = error.response.headers.get("Retry-After", "") if isinstance(error, httpx.HTTPStatusError) else ""
+    return max(_BACKOFF(state), min(float(asked), _LONGEST_PAUSE_S) if asked.isdigit() else 0.0)
 
 
 def _problem_in(response: httpx.Response) -> dict[str, Any]:

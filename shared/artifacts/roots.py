@@ -26,6 +26,15 @@ def local_path(url: str) -> Path:
     return Path(unquote(urlsplit(url).path) if urlsplit(url).scheme == "file" else url)
 
 
+def open_root(url: str) -> tuple[AbstractFileSystem, str]:
+    """The file system of a remote root and the root's path there.
+
+    Listings are not kept: other processes write under the same root, and what they finished must be seen.
+    """
+    fs, path = fsspec.core.url_to_fs(url, use_listings_cache=False)
+    return fs, str(path)
+
+
 @dataclass(frozen=True)
 class Location:
     """A resolved file: its file system and its path there."""
@@ -82,7 +91,7 @@ class Roots:
     def _root_path(self) -> str:
         if is_local(self.artifact_root):
             return str(local_path(self.artifact_root).resolve())
-        return str(fsspec.core.url_to_fs(self.artifact_root)[1]).rstrip("/")
+        return str(open_root(self.artifact_root)[1]).rstrip("/")
 
     def _means_local(self, href: str) -> bool:
         scheme = urlsplit(href).scheme
@@ -105,7 +114,7 @@ class Roots:
         for root in (self.artifact_root, *self.read_roots):
             if is_local(root) or urlsplit(root).scheme != urlsplit(url).scheme:
                 continue
-            fs, root_path = fsspec.core.url_to_fs(root)
+            fs, root_path = open_root(root)
             path = posixpath.normpath(fs._strip_protocol(url))
             if path.startswith(str(root_path).rstrip("/") + "/"):
                 return Location(fs, path)

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from shared.artifacts.manifest import MANIFEST, FileEntry, Manifest, Product
 from shared.artifacts.reference import ArtifactRef, media_type
-from shared.artifacts.roots import Location, Roots, is_local, local_path
+from shared.artifacts.roots import Location, Roots, is_local, local_path, open_root
 from shared.errors import DomainError, SmokeglintError, TamperedArtifactError
 
 STAGING = ".staging"
@@ -59,7 +59,7 @@ class ArtifactStore:
             local_path(roots.artifact_root).mkdir(parents=True, exist_ok=True)
             self._fs, self._root = fsspec.filesystem("file"), str(local_path(roots.artifact_root).resolve())
         else:
-            self._fs, self._root = fsspec.core.url_to_fs(roots.artifact_root)
+            self._fs, self._root = open_root(roots.artifact_root)
 
     # Reading
 

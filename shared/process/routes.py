@@ -16,7 +16,7 @@ from shared.process import description
 from shared.process.jobs import Job
 from shared.process.problem import problem
 from shared.process.problem_answer import problem_response
-from shared.process.service import Answer, Service
+from shared.process.service import Answer, ExecuteRequest, Service
 from shared.security.principal import Principal
 from shared.telemetry import correlation_id
 
@@ -72,7 +72,11 @@ def process(request: Request, process_id: str) -> dict[str, Any]:
     return description.description(_service(request).process(process_id), _base(request))
 
 
-@router.post("/processes/{process_id}/execution", summary="Execute a process")
+@router.post(
+    "/processes/{process_id}/execution",
+    summary="Execute a process",
+    openapi_extra={"requestBody": {"content": {"application/json": {"schema": ExecuteRequest.model_json_schema()}}}},
+)
 async def execute(request: Request, process_id: str) -> Response:
     service = _service(request)
     service.process(process_id)

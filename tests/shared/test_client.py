@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -197,3 +198,23 @@ def test_waiting_for_a_service_outlasts_its_start(clock: list[float]) -> None:
     assert server.count("ready") == 3
     with pytest.raises(TimeoutError, match="http://service"):
         Server(ready=[(503, {})]).client().wait_ready(limit_s=3)
+
+
+def test_a_client_waits_as_long_as_it_is_asked_to(clock: list[float]) -> None:
+    busy = httpx.Response(429, json={"detail": "2 jobs already"}, headers={"Retry-After": "7"})
+    endless = httpx.Response(429, json={"detail": "2 jobs already"}, headers={"Retry-After": "86400"})
+    server = Server(submit=[busy, endless, (201, {"jobID": "j1"})])
+    assert server.client().execute("scale", {}) == {"count": 2}
+    assert clock[0] >= 7 and clock[1] == 60
+
+
+def test_a_client_shows_the_key_it_was_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "key").write_text("sg_from_file\n")
+    given = []
+    for environment in ({}, {"SMOKEGLINT_API_KEY_FILE": str(tmp_path / "key")}, {"SMOKEGLINT_API_KEY": "sg_plain"}):
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        server = Server()
+        server.client().execute("scale", {})
+        given.append(server.requests[0].headers.get("Authorization"))
+    assert given == [None, "Bearer sg_from_file", "Bearer sg_plain"]

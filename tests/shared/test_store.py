@@ -15,16 +15,31 @@ from shared.artifacts.reference import ArtifactRef, media_type
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import STAGING, ArtifactStore, StepAddress, describe_file
 from shared.errors import DomainError, ForbiddenReferenceError, MissingArtifactError, TamperedArtifactError
+from tests.shared.servers import S3_ENVIRONMENT, s3_server
 
 ADDRESS = StepAddress("case", "cycle-1", "predict-access", "abc123")
 CONTENT = {"a.txt": b"first", "b.json": b"{}"}
 
 
-@pytest.fixture(params=["file", "memory"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ArtifactStore]:
-    """A store on this machine, and one on another file system."""
+@pytest.fixture(scope="module")
+def s3_url() -> Iterator[str]:
+    with s3_server() as url:
+        yield url
+
+
+@pytest.fixture(params=["file", "memory", "s3"])
+def store(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ArtifactStore]:
+    """A store on this machine, one on another file system, and one on a real S3 server."""
     if request.param == "file":
         yield ArtifactStore(Roots(str(tmp_path / "artifacts")))
+        return
+    if request.param == "s3":
+        settings = {**S3_ENVIRONMENT, "AWS_ENDPOINT_URL": request.getfixturevalue("s3_url")}
+        for name, value in settings.items():
+            monkeypatch.setenv(name, value)
+        bucket = f"bucket-{uuid.uuid4().hex}"
+        fsspec.filesystem("s3", skip_instance_cache=True).mkdir(bucket)
+        yield ArtifactStore(Roots(f"s3://{bucket}/artifacts"))
         return
     folder = f"/store-{uuid.uuid4().hex}"
     yield ArtifactStore(Roots(f"memory:/{folder}"))
@@ -73,6 +88,16 @@ def test_a_committed_step_is_done(store: ArtifactStore) -> None:
     assert paths(store) == expected, "nothing is left in staging"
     assert manifest.files["a.txt"].sha256 == hashlib.sha256(b"first").hexdigest()
     assert (manifest.files["a.txt"].size, manifest.files["a.txt"].type) == (5, "text/plain")
+
+
+def test_what_another_process_finished_is_seen(store: ArtifactStore) -> None:
+    assert list(store.manifests("case")) == [] and store.load(ADDRESS) is None
+    other = ArtifactStore(store.roots)
+    if "file" not in store._fs.protocol and "memory" not in store._fs.protocol:
+        other._fs = type(store._fs)(skip_instance_cache=True, use_listings_cache=False)
+        assert other._fs is not store._fs
+    manifest = commit(other)
+    assert store.load(ADDRESS) == manifest and list(store.manifests("case")) == [manifest]
 
 
 def test_its_files_are_reached_by_reference(store: ArtifactStore) -> None:
