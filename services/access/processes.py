@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, BeforeValidator, Field
 
+from services.access.orbits.constellations import CONSTELLATIONS
 from shared.artifacts.reference import ArtifactRef
 from shared.process.context import JobContext
 from shared.process.declaration import Process, ProcessInputs, ProcessOutputs
 
+if TYPE_CHECKING:
+    from services.access.fleets import Fleet
+    from services.access.prediction import Access
+
+
+def _constellation_name(given: object) -> object:
+    """``G``, ``E``, ``C``, ``J`` and names in any case stand for a constellation, too."""
+    names = {name.upper(): name for name in CONSTELLATIONS.values()} | CONSTELLATIONS
+    return names.get(given.strip().upper(), given) if isinstance(given, str) else given
+
+
 ORBIT_FORMATS = "TLE text, CCSDS OMM (JSON list, XML, KVN), CCSDS OEM (KVN, XML) or SP3, recognised by content"
-Constellation = Literal["GPS", "Galileo", "BeiDou", "QZSS"]
+Constellation = Annotated[Literal["GPS", "Galileo", "BeiDou", "QZSS"], BeforeValidator(_constellation_name)]
 
 
 class PredictAccessInputs(ProcessInputs):
@@ -25,6 +37,11 @@ class PredictAccessInputs(ProcessInputs):
     )
     constellations: list[Constellation] | None = Field(
         None, min_length=1, description="constellations whose signals are used; null: all that the transmitters hold"
+    )
+    fleet: Literal["cygnss", "example_commercial"] | ArtifactRef | None = Field(
+        None,
+        description="list of the receivers to use, by catalogue number: a shipped one by name, or JSON of the same "
+        "shape (services/access/fleets); null: all that the receivers hold",
     )
     min_contact_s: float = Field(
         0.0, ge=0, le=3600, description="contacts shorter than this (s) are left out and named in the report"
@@ -44,6 +61,7 @@ class PredictAccessInputs(ProcessInputs):
         30.0, gt=0, le=365, description="satellites whose elements are further from the start (days) are left out"
     )
     with_specular_points: bool = Field(False, description="also write the specular tracks")
+    with_figures: bool = Field(False, description="also draw pictures for people (PNG)")
     area: tuple[float, float, float, float] | None = Field(
         None,
         description="lon_min, lat_min, lon_max, lat_max (degrees) that specular_points is limited to; "
@@ -59,6 +77,10 @@ class PredictAccessOutputs(ProcessOutputs):
     eclipses: ArtifactRef = Field(description="eclipses table, umbra and penumbra")
     specular_points: ArtifactRef | None = Field(None, description="specular tracks, where asked for")
     report: ArtifactRef = Field(description="JSON: ages of the elements, warnings, satellites left out, counts")
+    timeline: ArtifactRef | None = Field(None, description="PNG of contacts and eclipses, where figures are asked for")
+    warnings: list[str] = Field(
+        default_factory=list, description="old or too new orbits, satellites left out, short contacts"
+    )
     opportunity_count: int = Field(description="rows of opportunities")
     image_count: int = Field(description="images that cover at least one target")
     contact_count: int = Field(description="rows of contacts")
@@ -68,22 +90,28 @@ class PredictAccessOutputs(ProcessOutputs):
 
 def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictAccessOutputs:
     """Run one prediction; core errors name the field, line or row at fault."""
+    from dataclasses import replace
+
     import numpy as np
 
     from services.access import prediction, products
-    from services.access.events.contacts import Station
+    from services.access.events.contacts import stations_from
     from services.access.orbits.constellations import letters_of
     from services.access.orbits.formats import read_files
 
     targets = context.read_table(inputs.targets, "TARGETS")
-    stations = [
-        Station(row.station, row.latitude_deg, row.longitude_deg, row.height_m, row.mask_deg, row.datum)
-        for row in context.read_table(inputs.stations, "STATIONS").itertuples()
-    ]
+    stations = stations_from(context.read_table(inputs.stations, "STATIONS").to_dict("records"))
     receivers, transmitters = (
         read_files([(one.name, context.path(one).read_text(encoding="utf-8", errors="replace")) for one in files], name)
         for name, files in (("receivers", _each(inputs.receivers)), ("transmitters", _each(inputs.transmitters)))
     )
+    fleet, letters = _fleet(inputs, context), letters_of(inputs.constellations)
+    missing: dict[str, str] = {}
+    if fleet is not None:
+        receivers, missing = fleet.pick(receivers)
+        letters = letters or fleet.constellations
+        if fleet.example:
+            context.mark_simulated()
     access = prediction.predict(
         receivers,
         transmitters,
@@ -96,11 +124,12 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
             max_element_age_days=inputs.max_element_age_days,
             with_specular_points=inputs.with_specular_points,
             area=inputs.area,
-            constellations=letters_of(inputs.constellations),
+            constellations=letters,
             min_contact_s=inputs.min_contact_s,
         ),
         context.progress,
     )
+    access = replace(access, dropped=access.dropped | missing)
     context.progress(85, "writing tables")
     summary = products.report(access, len(targets))
     opportunities = products.opportunities_frame(access, targets["target_id"].to_numpy(np.int64))
@@ -116,12 +145,34 @@ def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictA
         eclipses=context.write_table("eclipses.parquet", products.eclipses_frame(access), "ECLIPSES"),
         specular_points=points,
         report=context.write_json("report.json", summary),
+        timeline=_timeline(access, [station.name for station in stations], context) if inputs.with_figures else None,
+        warnings=summary["warnings"],
         opportunity_count=counts["opportunities"],
         image_count=counts["images"],
         contact_count=counts["contacts"],
         eclipse_count=counts["eclipses"],
         targets_covered=counts["targets_covered"],
     )
+
+
+def _fleet(inputs: PredictAccessInputs, context: JobContext) -> Fleet | None:
+    from services.access.fleets import read_fleet, shipped_fleet
+
+    if inputs.fleet is None:
+        return None
+    if isinstance(inputs.fleet, str):
+        return shipped_fleet(inputs.fleet)
+    return read_fleet(context.read_json(inputs.fleet))
+
+
+def _timeline(access: Access, stations: list[str], context: JobContext) -> ArtifactRef:
+    from services.access.events.timeline import SatelliteEvents, draw_timeline
+    from shared import figures
+
+    rows = [SatelliteEvents(one.track.satellite, one.contacts, one.eclipses) for one in access.satellites]
+    figure = draw_timeline(rows, stations, access.horizon.start, float(access.horizon.duration_s))
+    figures.save(figure, context.new_file("timeline.png"), context.product_attributes())
+    return context.ref("timeline.png")
 
 
 def _each(reference: ArtifactRef | list[ArtifactRef]) -> list[ArtifactRef]:
@@ -140,7 +191,7 @@ PROCESSES = [
         id="predict-access",
         title="Predict access",
         description="Specular points of GNSS-R satellites on WGS84, the targets they cover second by second, contacts "
-        "with ground stations and eclipses, from two-line elements or OMM by SGP4.",
+        "with ground stations and eclipses, from element sets by SGP4 or from ephemerides.",
         inputs=PredictAccessInputs,
         outputs=PredictAccessOutputs,
         run=predict_access,

@@ -15,6 +15,8 @@ STATIONS = TableSchema(
         Column("height_m", "float64", minimum=-500, maximum=9000),
         Column("mask_deg", "float64", minimum=0, maximum=90),
         Column("datum", "string", values=("geodetic", "spherical")),
+        Column("up", "string", required=False, nullable=True, values=("geodetic", "spherical")),
+        Column("azimuth_mask", "string", required=False, nullable=True),
     ),
     unique=("station",),
 )
