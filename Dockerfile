@@ -19,7 +19,7 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/* \
     && groupadd --gid 10001 smokeglint \
     && useradd --uid 10001 --gid 10001 --home-dir /tmp --no-create-home --shell /usr/sbin/nologin smokeglint \
-    && install --directory --owner=10001 --group=10001 /data
+    && install --directory --owner=10001 --group=10001 /data /keys
 COPY --from=build /opt/venv /opt/venv
 WORKDIR /app
 COPY shared shared
@@ -39,6 +39,6 @@ ENV PATH=/opt/venv/bin:$PATH \
     OMP_NUM_THREADS=2 \
     OMP_WAIT_POLICY=PASSIVE
 USER 10001:10001
-VOLUME /data
+VOLUME /data /keys
 EXPOSE 8001 8002 8003 8004 8005
 CMD ["uvicorn", "services.access.app:app", "--host", "0.0.0.0", "--port", "8001", "--no-access-log"]

@@ -22,6 +22,8 @@ $(READY):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or later is needed (PYTHON=...)"; exit 1; }
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	@$(PY) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) --requirement requirements.lock
+	@printf '#!/bin/sh\nPYTHONPATH="%s" exec "%s/bin/python" -m flows.commands "$$@"\n' "$(CURDIR)" "$(abspath $(VENV))" > $(VENV)/bin/smokeglint
+	@chmod +x $(VENV)/bin/smokeglint
 	@rm -f $(VENV)/.ready-* && touch $@
 	@echo "The environment is ready."
 

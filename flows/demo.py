@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -28,20 +29,33 @@ SIMULATED = ("tiny", "demo")
 REAL = ("black-2022",)
 
 
+@dataclass(frozen=True)
+class RunOptions:
+    """What is to be run: ``cycles`` 0 is all that the case has, ``plain`` leaves the comparison out."""
+
+    case: str
+    root: Path
+    cycles: int
+    cycle_hours: int
+    without: tuple[str, ...]
+    plain: bool
+    services: str
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a case from the command line; the exit status is 1 if it could not be run."""
     options = _options(arguments)
     console = Console(soft_wrap=True)
     try:
         with only_run(options.root):
-            _run(options, console)
+            run_case_here(options, console)
     except (SmokeglintError, TimeoutError) as error:
         console.print(f"[red]{error}[/red]", highlight=False)
         return 1
     return 0
 
 
-def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def _options(arguments: Sequence[str] | None) -> RunOptions:
     parser = argparse.ArgumentParser(prog="python -m flows.demo", description="Run two daily cycles of a case.")
     parser.add_argument("--case", default="demo", help=f"{', '.join(SIMULATED + REAL)}, or a folder with case.toml")
     parser.add_argument("--root", type=Path, default=Path("artifacts"), help="folder for all artifacts")
@@ -55,12 +69,20 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         metavar="NAME=URL,...",
         help="use these five running services, whose artifact root must be --root, instead of starting some",
     )
-    options = parser.parse_args(arguments)
-    options.root = options.root.resolve()
-    return options
+    given = parser.parse_args(arguments)
+    return RunOptions(
+        given.case,
+        given.root.resolve(),
+        given.cycles,
+        given.cycle_hours,
+        tuple(given.without),
+        given.plain,
+        given.services,
+    )
 
 
-def _run(options: argparse.Namespace, console: Console) -> None:
+def run_case_here(options: RunOptions, console: Console) -> None:
+    """Build the case, start the services (unless some are named) and Prefect's server, run the loop, show it."""
     begun = time.monotonic()
     console.print(f"Smokeglint: case {options.case}, artifacts under {options.root}", highlight=False)
     services = nullcontext(named_services(options.services)) if options.services else running_services(options.root)
@@ -79,9 +101,7 @@ def _run(options: argparse.Namespace, console: Console) -> None:
     console.print(f"Ready after {ready_s:.0f} s, all done after {time.monotonic() - begun:.0f} s.", highlight=False)
 
 
-def _loop(
-    options: argparse.Namespace, console: Console, case: Case, urls: dict[str, str], display: ConsoleDisplay
-) -> None:
+def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str], display: ConsoleDisplay) -> None:
     logging.getLogger("prefect").setLevel(logging.ERROR)
     from flows.case_run import run_case  # prefect reads its settings when it is imported: not before the server runs
 

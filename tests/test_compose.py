@@ -12,8 +12,10 @@ import pytest
 import yaml
 from fastapi import FastAPI
 
+from flows.commands.__main__ import main
 from flows.demo import named_services
 from flows.services import SERVICES
+from shared.security.api_keys import KeyRing, read_keys
 from shared.settings import ServiceSettings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -33,8 +35,8 @@ def option(name: str, flag: str) -> str:
 
 
 def test_there_are_the_five_services_and_a_test() -> None:
-    assert set(COMPOSE["services"]) == {*SERVICES, "demo"}
-    assert [name for name in COMPOSE["services"] if "profiles" not in part(name)] == list(PORTS)
+    assert set(COMPOSE["services"]) == {"keys", *SERVICES, "demo"}
+    assert [name for name in COMPOSE["services"] if "profiles" not in part(name)] == ["keys", *PORTS]
     assert part("demo")["profiles"] == ["test"]
 
 
@@ -61,12 +63,12 @@ def test_a_command_starts_an_application_that_answers_its_health_check(name: str
     assert app.url_path_for("readyz") == checked[2]
 
 
-@pytest.mark.parametrize("name", [*PORTS, "demo"])
+@pytest.mark.parametrize("name", ["keys", *PORTS, "demo"])
 def test_a_container_is_not_root_and_writes_only_to_the_volume_and_memory(name: str) -> None:
     service = part(name)
     assert service["user"] == "10001:10001"
     assert service["read_only"] is True
-    assert service["volumes"] == ["artifacts:/data"]
+    assert service["volumes"] == ["artifacts:/data", "keys:/keys"]
     assert service["tmpfs"] == ["/tmp"]
     assert service["cap_drop"] == ["ALL"]
     assert "privileged" not in service
@@ -76,10 +78,27 @@ def test_a_container_is_not_root_and_writes_only_to_the_volume_and_memory(name: 
 def test_its_environment_is_made_of_settings_that_exist(name: str) -> None:
     environment = part(name)["environment"]
     prefix = f"SMOKEGLINT_{name.upper()}_"
-    known = {prefix + field.upper() for field in ServiceSettings.model_fields}
+    known = {
+        start + field.upper() for field in ServiceSettings.model_fields for start in (prefix, "SMOKEGLINT_SERVICE_")
+    }
     assert set(environment) <= known
     assert environment[prefix + "ARTIFACT_ROOT"] == "/data"
     assert part(name)["restart"] == "unless-stopped"
+
+
+def test_services_know_the_keys_that_are_made_before_they_start(tmp_path: Path) -> None:
+    command = part("keys")["command"]
+    assert command[:-1] == ["python", "-m", "flows.commands", "key", "prepare"] and command[-1] == "/keys"
+    for _ in range(2):  # a second start makes no others
+        assert main([*command[3:-1], str(tmp_path)]) == 0
+    ring = KeyRing(tmp_path / Path(part("access")["environment"]["SMOKEGLINT_SERVICE_API_KEYS"]).name)
+    flow = ring.holder(
+        (tmp_path / Path(part("demo")["environment"]["SMOKEGLINT_API_KEY_FILE"]).name).read_text().strip()
+    )
+    assert flow is not None and flow.may("execute") and not flow.may("admin")
+    assert len(read_keys(tmp_path / "keys.json")) == 2
+    for name in PORTS:
+        assert part(name)["depends_on"] == {"keys": {"condition": "service_completed_successfully"}}
 
 
 def test_the_test_reaches_the_services_over_the_same_root_once_they_are_healthy() -> None:

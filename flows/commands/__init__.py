@@ -1,0 +1,1 @@
+"""The ``smokeglint`` command: what an operator does from a shell."""

@@ -1,0 +1,48 @@
+"""``python -m flows.commands`` is the command ``smokeglint``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+from rich.console import Console
+
+from flows.commands import cases, keys, products, running
+from shared.errors import SmokeglintError
+
+app = typer.Typer(
+    name="smokeglint",
+    help="Plan what satellites record over wildfires, and map what they saw.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("run")(running.run)
+app.command("status")(products.status)
+app.command("products")(products.products)
+app.add_typer(cases.app, name="case")
+app.add_typer(keys.app, name="key")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; an error that we know is told in a line, with the exit status 1."""
+    try:
+        app(args=arguments, standalone_mode=False)
+    except (SmokeglintError, TimeoutError) as error:
+        Console(stderr=True).print(f"[red]{error}[/red]", highlight=False, soft_wrap=True)
+        return 1
+    except typer.Exit as ended:
+        return int(ended.exit_code)
+    except typer.Abort:
+        return 1
+    except Exception as error:
+        if hasattr(error, "show") and hasattr(error, "exit_code"):  # click's own: a wrong option, an unknown command
+            error.show()
+            return int(error.exit_code)
+        raise
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""What a case has made so far, from its manifests: where each cycle stands, and the files for people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from flows.commands.options import CaseName, Root
+from flows.redo import CYCLE_STEPS
+from shared.artifacts.manifest import Manifest
+from shared.artifacts.roots import Roots
+from shared.artifacts.store import ArtifactStore
+from shared.errors import DomainError
+
+_PLAIN = "-no-feedback"
+AsJson = Annotated[bool, typer.Option("--json", help="one JSON document, for programs")]
+
+
+def manifests_of(root: Path, case: str) -> list[Manifest]:
+    """The finished steps of a case, by its name or the end of it; DomainError if there are none."""
+    folders = root.iterdir() if root.is_dir() else []
+    named = [path.name for path in folders if path.name == case or path.name.endswith(f"-{case}")]
+    found = list(ArtifactStore(Roots(str(root))).manifests(named[0])) if named else []
+    if not found:
+        raise DomainError(f"Nothing of case '{case}' is finished under {root}.", field="case", value=case)
+    return found
+
+
+def status(case: CaseName, root: Root = Path("artifacts"), as_json: AsJson = False) -> None:
+    """Where each cycle stands, how old its oldest input is, and what share is simulated."""
+    rows = [_standing(cycle, found) for cycle, found in _by_cycle(manifests_of(root.resolve(), case))]
+    if as_json:
+        print(json.dumps(rows, indent=1))
+        return
+    table = Table("cycle (cut-off, UTC)", "steps done", "next", "oldest input", "simulated")
+    for row in rows:
+        done = f"{row['done']} of {len(CYCLE_STEPS)}"
+        table.add_row(
+            row["cycle"], done, row["next"] or "–", row["oldest_input"], f"{100 * row['simulated_share']:.0f} %"
+        )
+    Console().print(table)
+
+
+def _by_cycle(found: list[Manifest]) -> list[tuple[str, list[Manifest]]]:
+    cycles: dict[str, list[Manifest]] = {}
+    for manifest in found:
+        if "T" in manifest.cycle and not manifest.cycle.endswith(_PLAIN):
+            cycles.setdefault(manifest.cycle, []).append(manifest)
+    return sorted(cycles.items())
+
+
+def _standing(cycle: str, found: list[Manifest]) -> dict[str, Any]:
+    done = {manifest.product.process for manifest in found}
+    waiting = [step for step in CYCLE_STEPS if step not in done]
+    oldest = sorted(manifest.product.oldest_input for manifest in found if manifest.product.oldest_input)
+    return {
+        "cycle": cycle,
+        "done": len(CYCLE_STEPS) - len(waiting),
+        "next": waiting[0] if waiting else "",
+        "oldest_input": oldest[0] if oldest else "",
+        "simulated_share": max(manifest.product.simulated_share for manifest in found),
+    }
+
+
+def products(
+    case: CaseName,
+    root: Root = Path("artifacts"),
+    cycle: Annotated[str, typer.Option(help="only this cycle, e.g. 20250901T1200Z")] = "",
+    kind: Annotated[str, typer.Option(help="only files that end so, e.g. png")] = "",
+    as_json: AsJson = False,
+) -> None:
+    """The files of finished steps, with what they rest on."""
+    rows = [
+        {
+            "cycle": manifest.cycle,
+            "step": manifest.product.process,
+            "path": f"{manifest.case}/{manifest.cycle}/{manifest.product.process}/{manifest.key}/{name}",
+            "bytes": entry.size,
+            "simulated": manifest.product_of(name).simulated,
+        }
+        for manifest in manifests_of(root.resolve(), case)
+        for name, entry in sorted(manifest.files.items())
+        if name.endswith(kind) and cycle in ("", manifest.cycle)
+    ]
+    if as_json:
+        print(json.dumps(rows, indent=1))
+        return
+    for row in rows:
+        mark = "SIMULATED" if row["simulated"] else "real"
+        print(f"{row['bytes']:>12,} {mark:<9} {row['path']}")

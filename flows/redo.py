@@ -1,0 +1,59 @@
+"""Steps made anew on request: forgetting a finished step is removing its manifest, and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from shared.artifacts.manifest import MANIFEST
+from shared.errors import DomainError
+
+# The order in which a cycle runs them.
+CYCLE_STEPS = (
+    "assemble-inputs",
+    "forecast-fuel-moisture",
+    "rate-active-fires",
+    "rate-prefire-danger",
+    "build-targets",
+    "predict-access",
+    "set-horizon",
+    "plan-observations",
+    "check-plan",
+    "uplink",
+    "execute",
+    "simulate-observations",
+    "retrieve-burned-area",
+    "retrieve-soil-moisture",
+    "infer-fire-arrival",
+    "observed-places",
+    "situation",
+    "score",
+)
+
+
+def finished_cycles(root: Path, case: str) -> list[str]:
+    """The cycles of a case that have finished steps, oldest first: folders named by a cut-off."""
+    folders = [path for path in (root / case).glob("*T*Z") if any(path.glob(f"*/*/{MANIFEST}"))]
+    return sorted(path.name for path in folders)
+
+
+def forget_from(root: Path, case: str, step: str, cycle: int = 0) -> int:
+    """Remove the manifests of a step and of those after it in a cycle (by number; 0: the last); how many there were.
+
+    ``case`` is the name of the case or the end of it (``tiny`` of ``simulated-tiny``). DomainError: no such step or
+    cycle.
+    """
+    if step not in CYCLE_STEPS:
+        raise DomainError(f"A cycle has no step '{step}'.", field="from-step", accepted=", ".join(CYCLE_STEPS))
+    named = [path.name for path in root.iterdir() if path.name == case or path.name.endswith(f"-{case}")]
+    labels = finished_cycles(root, named[0]) if named else []
+    if not labels or cycle > len(labels):
+        found = ", ".join(labels) or "none"
+        raise DomainError(
+            f"Case '{case}' has no finished cycle {cycle or ''} under {root}.", field="cycle", value=found
+        )
+    later = CYCLE_STEPS[CYCLE_STEPS.index(step) :]
+    folder = root / named[0] / labels[(cycle or len(labels)) - 1]
+    manifests = [path for name in later for path in folder.glob(f"{name}/*/{MANIFEST}")]
+    for path in manifests:
+        path.unlink()
+    return len(manifests)
