@@ -1,4 +1,7 @@
-"""Fire weather indices on points and grids; NaN in any input gives NaN, never zero.
+"""Fire weather indices on points and grids, SI in, units stated; NaN in any input gives NaN, never zero.
+
+Inputs broadcast; a value that cannot be (300 degC, humidity of 200 %) is NaN, and more than one in a hundred of them is
+a DomainError that names the input. ``index_catalogue`` states variant, source and agreement of each.
 
 Canadian FWI system, KBDI, Fosberg, Haines and HDW come from climate-indices 3.1 (its CFFWI agrees with cffdrs to 0.005,
 with FFMC's constant 147.27723; its KBDI is the 1968 paper's wet-spell variant with Alexander's 8.30, not the Australian
@@ -16,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from services.prioritization.physical_ranges import physical
 from shared.errors import DomainError
 
 if TYPE_CHECKING:
@@ -25,6 +29,7 @@ Array = npt.NDArray[np.float64]
 
 MPH_PER_M_S = 1 / 0.44704
 KBDI_MAX_MM = 203.2
+FFMC_CONSTANT = 250 * 59.5 / 101
 SAWTI_THRESHOLDS: dict[int, tuple[float, float, float, float]] = {
     1: (10, 15, 21, 40),
     2: (9, 13, 20, 28),
@@ -48,15 +53,15 @@ def _fire_library() -> Any:
 
 def vapour_pressure_deficit_hpa(temperature_c: npt.ArrayLike, relative_humidity_pct: npt.ArrayLike) -> Array:
     """Vapour pressure deficit in hPa (FAO-56 equation 11 for saturation)."""
-    temperature = np.asarray(temperature_c, dtype=np.float64)
+    temperature = physical(temperature_c, "temperature_c")
     saturation = 6.108 * np.exp(17.27 * temperature / (temperature + 237.3))
-    return saturation * (1 - np.asarray(relative_humidity_pct, dtype=np.float64) / 100)
+    return saturation * (1 - physical(relative_humidity_pct, "relative_humidity_pct") / 100)
 
 
 def dew_point_c(temperature_c: npt.ArrayLike, relative_humidity_pct: npt.ArrayLike) -> Array:
     """Dew point in degrees Celsius, the inverse of FAO-56 equation 11; humidity below 0.1 % counts as 0.1 %."""
-    temperature = np.asarray(temperature_c, dtype=np.float64)
-    humidity = np.maximum(np.asarray(relative_humidity_pct, dtype=np.float64), 0.1)
+    temperature = physical(temperature_c, "temperature_c")
+    humidity = np.maximum(physical(relative_humidity_pct, "relative_humidity_pct"), 0.1)
     exponent = np.log(humidity / 100) + 17.27 * temperature / (temperature + 237.3)
     return 237.3 * exponent / (17.27 - exponent)
 
@@ -66,8 +71,8 @@ def equilibrium_moisture_pct(temperature_c: npt.ArrayLike, relative_humidity_pct
 
     The regressions are in degrees Fahrenheit; they jump at 10 and 50 % humidity, which belong to the lower branch.
     """
-    fahrenheit = np.asarray(temperature_c, dtype=np.float64) * 1.8 + 32
-    humidity = np.asarray(relative_humidity_pct, dtype=np.float64)
+    fahrenheit = physical(temperature_c, "temperature_c") * 1.8 + 32
+    humidity = physical(relative_humidity_pct, "relative_humidity_pct")
     dry = 0.03229 + 0.281073 * humidity - 0.000578 * humidity * fahrenheit
     middle = 2.22749 + 0.160107 * humidity - 0.014784 * fahrenheit
     wet = 21.0606 + 0.005565 * humidity**2 - 0.00035 * humidity * fahrenheit - 0.483199 * humidity
@@ -75,9 +80,18 @@ def equilibrium_moisture_pct(temperature_c: npt.ArrayLike, relative_humidity_pct
     return np.maximum(moisture, 0) + 0 * humidity  # NaN humidity falls through both comparisons: keep it NaN
 
 
+def fuel_moisture_10h_pct(temperature_c: npt.ArrayLike, relative_humidity_pct: npt.ArrayLike) -> Array:
+    """10-h dead fuel moisture in per cent from the hour's air alone: 1.28 x equilibrium moisture (Burgan 1998)."""
+    return 1.28 * equilibrium_moisture_pct(temperature_c, relative_humidity_pct)
+
+
 def fosberg(temperature_c: npt.ArrayLike, relative_humidity_pct: npt.ArrayLike, wind_speed_m_s: npt.ArrayLike) -> Array:
     """Fosberg fire weather index, 0-100 (capped: zero moisture and 30 mph); climate-indices 3.1."""
-    result: Array = _fire_library().fosberg_ffwi(temperature_c, relative_humidity_pct, wind_speed_m_s)
+    result: Array = _fire_library().fosberg_ffwi(
+        physical(temperature_c, "temperature_c"),
+        physical(relative_humidity_pct, "relative_humidity_pct"),
+        physical(wind_speed_m_s, "wind_speed_m_s"),
+    )
     return result
 
 
@@ -88,7 +102,10 @@ def haines(
     variant: Literal["low", "mid", "high"],
 ) -> Array:
     """Haines index 2-6: low 950/850 hPa (dew point 850), mid 850/700 (850), high 700/500 (700); climate-indices 3.1."""
-    result: Array = _fire_library().haines_index(temperature_lower_c, temperature_upper_c, dew_point_c, variant=variant)
+    if variant not in ("low", "mid", "high"):
+        raise DomainError(f"There is no Haines variant '{variant}'.", field="variant", accepted="low, mid, high")
+    lower, upper = physical(temperature_lower_c, "temperature_c"), physical(temperature_upper_c, "temperature_c")
+    result: Array = _fire_library().haines_index(lower, upper, physical(dew_point_c, "dew_point_c"), variant=variant)
     return result
 
 
@@ -99,7 +116,12 @@ def hot_dry_windy(
     height_agl_m: npt.ArrayLike,
 ) -> Array:
     """HDW in hPa m/s: largest VPD x wind within 500 m above ground, levels on the last axis; climate-indices 3.1."""
-    result: Array = _fire_library().hot_dry_windy(temperature_c, relative_humidity_pct, wind_speed_m_s, height_agl_m)
+    result: Array = _fire_library().hot_dry_windy(
+        physical(temperature_c, "temperature_c"),
+        physical(relative_humidity_pct, "relative_humidity_pct"),
+        physical(wind_speed_m_s, "wind_speed_m_s"),
+        physical(height_agl_m, "height_agl_m"),
+    )
     return result
 
 
@@ -114,8 +136,15 @@ def kbdi(
 
     Metric form of equation 18 with 8.30 (Alexander 1990); rain counts beyond the first 5.08 mm of a wet spell.
     """
-    seed: dict[str, Any] = {"initial_state": state} if state is not None else {"initial_kbdi": initial_mm}
-    result = _fire_library().kbdi(rain_mm, temperature_max_c, annual_rain_mm, return_state=True, **seed)
+    start = physical(initial_mm, "kbdi_mm")
+    seed: dict[str, Any] = {"initial_state": state} if state is not None else {"initial_kbdi": start}
+    result = _fire_library().kbdi(
+        physical(rain_mm, "rain_mm"),
+        physical(temperature_max_c, "temperature_c"),
+        physical(annual_rain_mm, "annual_rain_mm"),
+        return_state=True,
+        **seed,
+    )
     return result.values, result.state
 
 
@@ -140,17 +169,24 @@ def canadian(
     latitude_deg: npt.ArrayLike,
     month: npt.ArrayLike,
     state: CFFWISState | None = None,
+    start: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike] | None = None,
 ) -> CanadianIndices:
-    """Canadian fire weather index system from noon (local standard) weather and 24 h rain; start-up values 85/6/15."""
+    """Canadian fire weather index system from noon (local standard) weather and 24 h rain (mm), days first.
+
+    Starts from 85/6/15, or from ``start`` (FFMC, DMC, DC), or goes on from yesterday's ``state``.
+    """
+    seed: dict[str, Any] = {"initial_state": state}
+    if state is None and start is not None:
+        seed = dict(zip(("initial_ffmc", "initial_dmc", "initial_dc"), start, strict=True))
     result = _fire_library().cffwis(
-        temperature_c,
-        relative_humidity_pct,
-        wind_speed_m_s,
-        rain_mm,
-        latitude_deg,
+        physical(temperature_c, "temperature_c"),
+        physical(relative_humidity_pct, "relative_humidity_pct"),
+        physical(wind_speed_m_s, "wind_speed_m_s"),
+        physical(rain_mm, "rain_mm"),
+        physical(latitude_deg, "latitude_deg"),
         month,
-        initial_state=state,
         return_state=True,
+        **seed,
     )
     codes = {name: getattr(result, name) for name in ("ffmc", "dmc", "dc", "isi", "bui", "fwi")}
     return CanadianIndices(**codes, state=result.state)
@@ -182,9 +218,9 @@ def forest_fire_danger(
     exponent = (
         -0.45
         + 0.987 * np.log(np.maximum(np.asarray(drought_factor, dtype=np.float64), 1e-6))
-        - 0.0345 * np.asarray(relative_humidity_pct, dtype=np.float64)
-        + 0.0338 * np.asarray(temperature_c, dtype=np.float64)
-        + 0.0234 * 3.6 * np.asarray(wind_speed_m_s, dtype=np.float64)
+        - 0.0345 * physical(relative_humidity_pct, "relative_humidity_pct")
+        + 0.0338 * physical(temperature_c, "temperature_c")
+        + 0.0234 * 3.6 * physical(wind_speed_m_s, "wind_speed_m_s")
     )
     return 2 * np.exp(exponent)
 
@@ -200,10 +236,48 @@ def large_fire_potential(
     Inputs are SI; both conversions happen here (m/s with deg F gives a fifth of it). ``fuel_moisture_component`` is
     0-1; left at 1 the result is LFP without fuel. Meant for offshore wind in Southern California.
     """
-    temperature = np.asarray(temperature_c, dtype=np.float64)
+    temperature = physical(temperature_c, "temperature_c")
     depression_f = 1.8 * (temperature - dew_point_c(temperature, relative_humidity_pct))
-    wind_mph = np.asarray(wind_speed_m_s, dtype=np.float64) * MPH_PER_M_S
+    wind_mph = physical(wind_speed_m_s, "wind_speed_m_s") * MPH_PER_M_S
     return 0.001 * wind_mph**2 * depression_f * np.asarray(fuel_moisture_component, dtype=np.float64)
+
+
+def fuel_moisture_component(
+    dryness_level: npt.ArrayLike, live_fuel_moisture: npt.ArrayLike, green_up: npt.ArrayLike
+) -> Array:
+    """FMC of LFP, 0-1: (0.1 [(DL / LFM - 1) + G])^1.7, clipped (Rolinski et al. 2016).
+
+    ``dryness_level`` DL 1-3 of the dead fuels, ``live_fuel_moisture`` LFM as a fraction (0.6 = 60 %), ``green_up`` G
+    0 (grass green) to 5 (fully cured). The bracket is read so that the driest fuels (3, 0.5, 5) give 1.
+    """
+    live = np.asarray(live_fuel_moisture, dtype=np.float64)
+    if np.any(live > 5):
+        raise DomainError(
+            "Live fuel moisture is a fraction here.",
+            field="live_fuel_moisture",
+            value=float(np.nanmax(live)),
+            accepted="0.3..5 (0.6 is 60 %)",
+        )
+    dry = np.asarray(dryness_level, dtype=np.float64) / np.maximum(live, 0.05) - 1
+    return np.clip(0.1 * (dry + np.asarray(green_up, dtype=np.float64)), 0, 1) ** 1.7
+
+
+def equilibrium_ffmc(temperature_c: npt.ArrayLike, relative_humidity_pct: npt.ArrayLike) -> Array:
+    """FFMC (0-101) in balance with the air: the drying equilibrium of Van Wagner 1987, no rain, no yesterday.
+
+    Stands in for FFMC where there is no series of days to run it over.
+    """
+    t = physical(temperature_c, "temperature_c")
+    h = physical(relative_humidity_pct, "relative_humidity_pct")
+    drying = 0.942 * h**0.679 + 11 * np.exp((h - 100) / 10) + 0.18 * (21.1 - t) * -np.expm1(-0.115 * h)
+    moisture = np.maximum(drying, 0)
+    return np.clip(59.5 * (250 - moisture) / (FFMC_CONSTANT + moisture), 0, 101)
+
+
+def initial_spread(ffmc: npt.ArrayLike, wind_speed_m_s: npt.ArrayLike) -> Array:
+    """Initial spread index from a fine fuel moisture code and wind; climate-indices 3.1."""
+    result: Array = _fire_library().initial_spread_index(ffmc, physical(wind_speed_m_s, "wind_speed_m_s"))
+    return result
 
 
 def sawti_category(lfp: npt.ArrayLike, zone: int) -> Array:

@@ -6,12 +6,11 @@ from typing import Any, Literal
 
 from pydantic import AwareDatetime, Field
 
+from services.prioritization.prefire_processes import PREFIRE_PROCESSES
 from shared.artifacts.reference import ArtifactRef
 from shared.process import JobContext, Process, ProcessInputs, ProcessOutputs
 
-FPI_VERSION = "FPI edition: 2000 (live ratio from maximum NDVI) or 1998 (from loads)"
-DEMONSTRATION = "wlfp-wfsp-demonstration-1"
-MODEL = "large-fire-victoria-loop-1"
+MODEL = "large-fire-victoria-loop-2"
 
 
 class RateActiveFiresInputs(ProcessInputs):
@@ -19,7 +18,7 @@ class RateActiveFiresInputs(ProcessInputs):
     weather: ArtifactRef = Field(description="hourly weather: grid (netCDF) or weather table (Parquet)")
     time: AwareDatetime = Field(description="cut-off; the 24 h after it are rated, nothing issued later is used")
     fuels: ArtifactRef | None = Field(
-        None, description="fuels grid with kbdi in mm (and annual_rain_mm); else KBDI is imputed"
+        None, description="fuels grid with kbdi in mm (and annual_rain_mm, elevation_m); else KBDI is imputed"
     )
     fuel_moisture: ArtifactRef | None = Field(None, description="forecast-fuel-moisture grid; else 1.28 x equilibrium")
     model: ArtifactRef | None = Field(None, description="model of train-large-fire-model; else the shipped one")
@@ -33,7 +32,9 @@ class RateActiveFiresOutputs(ProcessOutputs):
 
 def rate_active_fires(inputs: RateActiveFiresInputs, context: JobContext) -> RateActiveFiresOutputs:
     """Probability of becoming large, with interval, percentile and reasons, of every incident known at ``time``."""
-    from services.prioritization import large_fire_model, rating, sources
+    from services.prioritization import sources
+    from services.prioritization.large_fire import model as large_fire_model
+    from services.prioritization.large_fire import rating
 
     time = sources.to_utc(inputs.time)
     incidents: Any = context.read_table(inputs.incidents, "INCIDENTS")
@@ -42,9 +43,10 @@ def rate_active_fires(inputs: RateActiveFiresInputs, context: JobContext) -> Rat
     context.progress(30, "weather read")
     model_path = context.path(inputs.model) if inputs.model else large_fire_model.shipped_path()
     model = large_fire_model.load(model_path)
-    drought = sources.drought_at(context.path(inputs.fuels) if inputs.fuels else None, series_at, time)
+    fuels = context.path(inputs.fuels) if inputs.fuels else None
+    drought, height = sources.drought_at(fuels, series_at, time), sources.elevation_at(fuels)
     moisture = sources.fuel_moisture_at(context.path(inputs.fuel_moisture) if inputs.fuel_moisture else None)
-    conditions = rating.burning_conditions(known, series_at, time, drought, moisture, model.calibration.median)
+    conditions = rating.burning_conditions(known, series_at, time, drought, moisture, model.calibration.median, height)
     ratings = rating.rate(known, conditions, model, time)
     report = {
         "time": time.isoformat(),
@@ -62,57 +64,6 @@ def rate_active_fires(inputs: RateActiveFiresInputs, context: JobContext) -> Rat
         ratings=context.write_table("ratings.parquet", ratings, "RATINGS"),
         report=context.write_json("report.json", report),
         rated=len(ratings),
-    )
-
-
-class RatePrefireDangerInputs(ProcessInputs):
-    weather: ArtifactRef = Field(description="hourly weather grid (netCDF), best to 192 h after the time")
-    fuels: ArtifactRef = Field(description="fuels grid (netCDF): ndvi and extremes, loads, extinction, mask codes")
-    time: AwareDatetime = Field(description="cut-off and start of lead day 0; nothing known later is used")
-    soil_moisture: list[ArtifactRef] = Field([], description="soil moisture tables of the satellites")
-    burned_area: list[ArtifactRef] = Field([], description="burned area tables of the satellites")
-    fuel_moisture: ArtifactRef | None = Field(None, description="forecast-fuel-moisture grid; else 1.28 x equilibrium")
-    fpi_version: Literal["2000", "1998"] = Field("2000", description=FPI_VERSION)
-    soil_moisture_resolution_km: Literal[9, 36] = Field(9, description="EASE-Grid cell of the soil moisture tables, km")
-
-
-class RatePrefireDangerOutputs(ProcessOutputs):
-    danger: ArtifactRef
-    map: ArtifactRef
-    report: ArtifactRef
-
-
-def rate_prefire_danger(inputs: RatePrefireDangerInputs, context: JobContext) -> RatePrefireDangerOutputs:
-    """WFPI, WLFP and WFSP of lead days 0-7 on the fuels grid, without and with soil moisture and burned area."""
-    from services.prioritization import sources
-    from services.prioritization.prefire import danger, danger_map
-    from shared.contracts import grids
-
-    time = sources.to_utc(inputs.time)
-    fuels = danger.fuels_from_dataset(grids.read_netcdf(context.path(inputs.fuels), grids.FUELS))
-    weather = sources.weather_grid(context.path(inputs.weather), time)
-    context.progress(20, "weather and fuels read")
-    moisture = sources.fuel_moisture_grid(context.path(inputs.fuel_moisture)) if inputs.fuel_moisture else None
-    conditions = danger.conditions_on_fuels(weather, moisture, time, fuels)
-    effects = danger.DangerEffects()
-    soil = [context.read_table(ref, "SOIL_MOISTURE") for ref in inputs.soil_moisture]
-    burned = [context.read_table(ref, "BURNED_AREA") for ref in inputs.burned_area]
-    seen = danger.seen_land(fuels, soil, burned, time, effects, inputs.soil_moisture_resolution_km)
-    context.progress(50, "danger")
-    grid = danger.danger(fuels, conditions, seen, time, inputs.fpi_version, effects)
-    grids.write_netcdf(context.new_file("danger.nc"), grids.DANGER.check(grid), context.product_attributes())
-    context.progress(80, "map")
-    danger_map.draw(grid, context.new_file("danger.png"), context.product_attributes())
-    report = {
-        "time": time.isoformat(),
-        **danger.summary(grid),
-        "weather_values_taken_out": weather.flagged,
-        "soil_moisture_cells_used": int((seen.soil_moisture.weight > 0).sum()),
-        "burn_scar_cells": int((seen.scar > 0).sum()),
-        "demonstration": "WLFP and WFSP use demonstration coefficients, not fitted to fires",
-    }
-    return RatePrefireDangerOutputs(
-        danger=context.ref("danger.nc"), map=context.ref("danger.png"), report=context.write_json("report.json", report)
     )
 
 
@@ -160,9 +111,15 @@ def forecast_fuel_moisture(inputs: ForecastFuelMoistureInputs, context: JobConte
 class TrainLargeFireModelInputs(ProcessInputs):
     table: ArtifactRef = Field(description="fires with weather and outcome: CSV, CSV.gz or Parquet")
     label: str = Field("uncontrolled_within_100_ha", description="column of the outcome, 0 or 1 (1: became large)")
-    season_column: str = Field("season", description="column of the fire season, texts that sort in time")
-    columns: Literal["loop", "full"] = Field("loop", description="loop: what every case carries; full: with land")
+    season_column: str = Field("season", description="column of the fire season (texts that sort in time) or region")
+    columns: Literal["loop", "full", "us"] = Field(
+        "loop", description="loop: what every case carries; full: with land (Victoria); us: the US table's"
+    )
     first_test_season: str = Field("2013-14", description="first season of the rolling-origin test")
+    validation: Literal["rolling-origin", "leave-one-out"] = Field(
+        "rolling-origin", description="rolling-origin: by season, earlier ones teach; leave-one-out: by region"
+    )
+    ablation: bool = Field(False, description="also test with fewer feature groups (some ten times the work)")
     source: str = Field("Victorian Wildfire Research Dataset 2.5.8", description="where the table is from")
     seed: int = Field(0, ge=0, description="seed of the trees and of the resampling")
 
@@ -172,6 +129,7 @@ class TrainLargeFireModelOutputs(ProcessOutputs):
     calibration: ArtifactRef
     card: ArtifactRef
     report: ArtifactRef
+    figure: ArtifactRef
     auc: float
     mcc: float
     brier_skill: float
@@ -181,24 +139,34 @@ def train_large_fire_model(inputs: TrainLargeFireModelInputs, context: JobContex
     """Train, calibrate and test the large-fire model; the UBJ file carries its calibration."""
     from dataclasses import asdict
 
-    from services.prioritization import large_fire_model, large_fire_skill, model_card, sources
+    from services.prioritization import sources
+    from services.prioritization.large_fire import card, figures, training
 
     table = sources.fire_table(context.path(inputs.table))
-    arguments = (table, inputs.label, inputs.season_column, inputs.columns)
-    model = large_fire_model.train(*arguments, seed=inputs.seed)
-    context.progress(50, "trained")
-    skill = large_fire_skill.evaluate(*arguments, first_season=inputs.first_test_season, seed=inputs.seed)
-    model.save(context.new_file("large_fire.ubj"))
-    card = model_card.write(model.calibration, skill, inputs.source, inputs.first_test_season)
-    context.new_file("large_fire.md").write_text(card, encoding="utf-8")
+    trained = training.train_and_test(
+        table,
+        inputs.label,
+        inputs.season_column,
+        inputs.columns,
+        design=inputs.validation,
+        first_season=inputs.first_test_season,
+        ablation=inputs.ablation,
+        seed=inputs.seed,
+        progress=context.progress,
+    )
+    trained.model.save(context.new_file("large_fire.ubj"))
+    text = card.write(trained.model.calibration, trained.skill, inputs.source)
+    context.new_file("large_fire.md").write_text(text, encoding="utf-8")
+    figures.draw(trained.skill, context.new_file("large_fire.png"), context.product_attributes())
     return TrainLargeFireModelOutputs(
         model=context.ref("large_fire.ubj"),
-        calibration=context.write_json("large_fire.json", asdict(model.calibration)),
+        calibration=context.write_json("large_fire.json", asdict(trained.model.calibration)),
         card=context.ref("large_fire.md"),
-        report=context.write_json("report.json", skill),
-        auc=skill["auc"],
-        mcc=skill["mcc"],
-        brier_skill=skill["brier_skill"],
+        report=context.write_json("report.json", trained.skill),
+        figure=context.ref("large_fire.png"),
+        auc=trained.skill["auc"],
+        mcc=trained.skill["mcc"],
+        brier_skill=trained.skill["brier_skill"],
     )
 
 
@@ -247,7 +215,7 @@ def build_targets(inputs: BuildTargetsInputs, context: JobContext) -> BuildTarge
 # Imported by a worker before its first job; the HTTP side stays light.
 WARM_MODULES = (
     "services.prioritization.fuel_moisture_grid",
-    "services.prioritization.rating",
+    "services.prioritization.large_fire.rating",
     "services.prioritization.prefire.danger_map",
     "services.prioritization.targets",
     "shared.contracts.tables",
@@ -263,15 +231,7 @@ PROCESSES = [
         run=rate_active_fires,
         model_version=MODEL,
     ),
-    Process(
-        id="rate-prefire-danger",
-        title="Rate pre-fire danger",
-        description="WFPI, WLFP and WFSP of lead days 0-7, with and without satellite soil moisture and burned area.",
-        inputs=RatePrefireDangerInputs,
-        outputs=RatePrefireDangerOutputs,
-        run=rate_prefire_danger,
-        model_version=DEMONSTRATION,
-    ),
+    *PREFIRE_PROCESSES,
     Process(
         id="forecast-fuel-moisture",
         title="Forecast dead fuel moisture",

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from services.prioritization import features, rating, weather
+from services.prioritization import weather
 from services.prioritization.indices import KBDI_MAX_MM
-from services.prioritization.rating import SeriesAt
+from services.prioritization.large_fire import features, rating
+from services.prioritization.large_fire.rating import SeriesAt
 from shared.contracts import grids, schema, tables
 from shared.errors import DomainError
 
@@ -93,6 +94,17 @@ def drought_at(path: Path | None, series_at: SeriesAt, time: pd.Timestamp) -> Ca
     return at
 
 
+def elevation_at(path: Path | None) -> Callable[[float, float], float]:
+    """Height in metres of a place by the fuels grid; NaN without a grid, off it, or where the grid has no heights."""
+    if path is None:
+        return lambda longitude, latitude: float("nan")
+    dataset = grids.read_netcdf(path)
+    if "elevation_m" not in dataset.variables:
+        return lambda longitude, latitude: float("nan")
+    values = dataset["elevation_m"].transpose("latitude", "longitude")
+    return lambda longitude, latitude: _nearest(values, longitude, latitude)
+
+
 def fuel_moisture_at(path: Path | None) -> Callable[[float, float, pd.Timestamp], float]:
     """Forecast 10-h moisture (per cent) at a place and hour; NaN where none is known, so that 1.28 x EMC stands in."""
     if path is None:
@@ -134,7 +146,10 @@ def _nearest(values: xr.DataArray, longitude: float, latitude: float) -> float:
 
 
 def fire_table(path: Path) -> pd.DataFrame:
-    """A training table (CSV, gzipped CSV or Parquet) with the model's names and units, derived columns added."""
+    """A training table (CSV, gzipped CSV or Parquet) with the model's names and units, derived columns added.
+
+    The Victorian and the US table are known by their own columns; any other must have ours.
+    """
     head = path.open("rb").read(4)
     try:
         if head == b"PAR1":
@@ -147,6 +162,8 @@ def fire_table(path: Path) -> pd.DataFrame:
         ) from error
     if "T_SFC_historical" in table.columns:
         return features.from_victoria(table)
+    if {"tmmx", "ics_id"} <= set(table.columns):
+        return features.from_us(table)
     return features.derive(table)
 
 

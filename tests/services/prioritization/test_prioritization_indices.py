@@ -9,7 +9,8 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.prioritization import features, indices
+from services.prioritization import indices
+from services.prioritization.large_fire import features
 from shared.errors import DomainError
 
 THREE_DAYS = {
@@ -227,5 +228,5 @@ def test_features_are_the_same_for_training_and_for_rating():
             {"temperature_c": [30.0], "relative_humidity_pct": [20.0], "wind_speed_m_s": [10.0], "kbdi_mm": [80.0]}
         )
     )
-    for feature in features.LOOP_FEATURES:
+    for feature in features.features_of("loop"):
         assert trained[feature.name][0] == served[feature.name][0], feature.name

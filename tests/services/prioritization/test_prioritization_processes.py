@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from services.prioritization import large_fire_model
+from services.prioritization.large_fire import model as large_fire_model
 from shared.contracts import grids, schema, tables
 from shared.errors import DomainError
 
@@ -237,4 +237,6 @@ def test_training_reproduces_the_shipped_model(room, real_data):
     assert again.resampled == pytest.approx(np.asarray(shipped.resampled), abs=5e-3)
     assert out["auc"] > 0.75
     card = (large_fire_model.shipped_path().parent / "large_fire.md").read_text()
-    assert f"| model | {out['auc']:.3f} | {out['mcc']:.3f} |" in card
+    assert f"| **model** | {out['mcc']:.3f} [" in card
+    assert room.path(out["figure"]).read_bytes().startswith(b"\x89PNG")
+    assert "SIMULATED" not in room.path(out["card"]).read_text()

@@ -9,8 +9,9 @@ import geopandas
 import numpy as np
 import pandas as pd
 
-from services.prioritization import features, indices, weather
-from services.prioritization.large_fire_model import LargeFireModel
+from services.prioritization import indices, weather
+from services.prioritization.large_fire import features
+from services.prioritization.large_fire.model import LargeFireModel
 from shared.errors import DomainError
 
 RATED_HOURS = 24
@@ -34,10 +35,12 @@ def burning_conditions(
     kbdi_at: Callable[[float, float], float],
     fuel_moisture_at: Callable[[float, float, pd.Timestamp], float],
     median: dict[str, float],
+    elevation_at: Callable[[float, float], float] = lambda longitude, latitude: float("nan"),
 ) -> Conditions:
     """Weather of each fire at the worst hour (largest dry-limit FFDI) of the 24 h after ``time``.
 
     Where weather or KBDI is unknown the training median stands in and is named: unknown is neither zero nor safe.
+    ``elevation_at`` (m, NaN where unknown) serves only to find the past fires that a fire is compared with.
     """
     rows, imputed = [], []
     for place in incidents.geometry.representative_point():
@@ -47,9 +50,11 @@ def burning_conditions(
         row["dead_fuel_moisture_10h_pct"] = fuel_moisture_at(place.x, place.y, row.pop("hour"))
         gaps = [name for name in features.PRIMITIVES if not np.isfinite(row[name])]
         row.update({name: median[name] for name in gaps})
+        row["elevation_m"] = elevation_at(place.x, place.y)
+        row["known_kbdi_mm"] = drought
         rows.append(row)
         imputed.append(gaps)
-    columns = [*features.PRIMITIVES, "dead_fuel_moisture_10h_pct"]
+    columns = [*features.PRIMITIVES, "dead_fuel_moisture_10h_pct", "elevation_m", "known_kbdi_mm"]
     return Conditions(pd.DataFrame(rows, columns=columns, dtype=np.float64), imputed)
 
 
@@ -91,6 +96,8 @@ def rate(
 ) -> pd.DataFrame:
     """Ratings of the contract, one row per incident in the incidents' order, the model's inputs as further columns.
 
+    ``percentile`` is among the training fires of the same kind of place and season (``compared_with``).
+
     DomainError if the model asks for columns that the loop cannot supply (one of the ``full`` schema).
     """
     if model.calibration.schema != "loop":
@@ -105,6 +112,8 @@ def rate(
     probability, low, high = model.calibration.probability(margin)
     contributions = model.contributions(frame)
     outside = [_outside_training(frame.iloc[i], model) for i in range(len(frame))]
+    past = model.calibration.groups
+    kinds = [past.group(row.known_kbdi_mm, row.elevation_m) for row in conditions.table.itertuples()]
     ratings = pd.DataFrame(
         {
             "incident_id": incidents["incident_id"].to_numpy(),
@@ -112,11 +121,12 @@ def rate(
             "probability": probability,
             "probability_low": low,
             "probability_high": high,
-            "percentile": model.calibration.percentile(margin),
+            "percentile": [past.percentile(m, kind) for m, kind in zip(margin, kinds, strict=True)],
             "drivers": [_drivers(frame.iloc[i], contributions[i], model) for i in range(len(frame))],
             "out_of_domain": [bool(names) for names in outside],
             "imputed": [",".join(names) for names in conditions.imputed],
             "outside_training": [",".join(names) for names in outside],
+            "compared_with": [f"{past.fires[kind]} past fires: {kind}" for kind in kinds],
         }
     )
     shown = [*features.PRIMITIVES, "dead_fuel_moisture_10h_pct", "ffdi_dry", "ffwi", "lfp_weather", "hdw_surface"]
