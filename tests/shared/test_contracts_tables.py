@@ -30,6 +30,8 @@ ROWS: dict[str, dict[str, list[Any]]] = {
         "height_m": [300.0, 700.0, 250.0],
         "mask_deg": [5.0, 0.0, 90.0],
         "datum": ["geodetic", "spherical", "geodetic"],
+        "up": ["geodetic", "spherical", None],
+        "azimuth_mask": ["0:7 90:12.5 180:7", None, None],
     },
     "INCIDENTS": {
         "incident_id": ["a", "b", "c"],
