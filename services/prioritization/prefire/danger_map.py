@@ -1,119 +1,194 @@
-"""A map of the pre-fire danger that people can read: WFPI-x in classes, what the satellites changed, and WFSP-x."""
+"""Maps of the pre-fire danger that people can read: WFPI-x in classes, WFSP-x, and what the satellites changed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
+from services.prioritization.prefire import danger_grid, legend
+from services.prioritization.prefire.danger_rasters import CHANGE_NO_DATA, RasterStack
+from services.prioritization.prefire.danger_run import Rated
 from services.prioritization.prefire.fire_potential import MASK_CODES
+from shared import figures
 
-CLASS_EDGES = (0, 30, 60, 85, 110, 135, 247)
-CLASS_NAMES = ("low", "moderate", "elevated", "high", "very high", "extreme")
-CLASS_COLOURS = ("#1a7f37", "#9acd32", "#f4e04d", "#f59e0b", "#dc2626", "#7f1d6b")
-MASK_COLOURS = {
-    248: "#ffffff",
-    249: "#ffffff",
-    250: "#eaf6ff",
-    251: "#d9d2b0",
-    252: "#cfcfcf",
-    253: "#8fbfa8",
-    254: "#6fa8dc",
-    255: "#f2f2f2",
-}
+Array = npt.NDArray[np.floating[Any]]
+LARGEST_SIDE = 1500
+_FIELDS = ("wfpi", "wfpi_x", "wfsp", "wfsp_x", "wlfp", "wlfp_x")
 
 
-def draw(grid: xr.Dataset, path: Path, attributes: dict[str, Any], lead_day: int = 0) -> None:
-    """Write the three panels of one lead day as PNG; the footer says whether simulated and by which code."""
-    import matplotlib
+@dataclass(frozen=True)
+class Picture:
+    """One lead day ready to draw: layers (rows from north to south), mask codes, extent and what its axes are."""
 
-    matplotlib.use("Agg")
+    layers: dict[str, Array]
+    mask_code: npt.NDArray[np.uint8]
+    extent: tuple[float, float, float, float]
+    labels: tuple[str, str]
+    aspect: float
+    title: str
+
+
+def picture_of(rated: Rated, note: str = "", lead_day: int = 0) -> Picture:
+    """The finest picture of a lead day: of the 1 km rasters where there are any, else of the danger grid."""
+    fine = of_stack(rated.stack, rated.grid, lead_day, note) if rated.stack is not None else None
+    return fine or of_dataset(rated.grid, lead_day, note)
+
+
+def of_dataset(grid: xr.Dataset, lead_day: int = 0, note: str = "") -> Picture:
+    """A lead day of the danger grid."""
+    day = grid.isel(lead_day=lead_day)
+    longitude, latitude = (day[name].to_numpy().astype(float) for name in ("longitude", "latitude"))
+    axes = danger_grid.GeographicGrid(latitude, longitude)
+    up, across = axes.steps_deg
+    west, north = longitude[0] - across / 2, latitude[-1] + up / 2
+    aspect = 1 / max(float(np.cos(np.radians(latitude.mean()))), 0.1)
+    return Picture(
+        {name: day[name].to_numpy()[::-1].astype(float) for name in _FIELDS},
+        day["mask_code"].to_numpy()[::-1],
+        (west, west + across * len(longitude), north - up * len(latitude), north),
+        ("longitude (deg east)", "latitude (deg north)"),
+        aspect,
+        _title(day, lead_day, note),
+    )
+
+
+def of_stack(stack: RasterStack, grid: xr.Dataset, lead_day: int = 0, note: str = "") -> Picture | None:
+    """A lead day of the 1 km rasters, every nth cell so that the longer side has at most 1500; None without WFPI."""
+    if "wfpi_x" not in stack.layers:
+        return None
+    step = -(-max(stack.grid.shape) // LARGEST_SIDE)
+    thin = {name: values[lead_day, ::step, ::step] for name, values in stack.layers.items()}
+    code = thin["wfpi_x"]
+    mask = np.where(code >= 248, code, 0).astype(np.uint8)
+    layers = {
+        name: np.where(mask > 0, np.nan, values / (1.0 if name.startswith("wfpi") else 10.0))
+        for name, values in thin.items()
+        if name in _FIELDS
+    }
+    if "wfpi_change" in thin:
+        layers["change"] = np.where(thin["wfpi_change"] == CHANGE_NO_DATA, np.nan, thin["wfpi_change"])
+    x, y = stack.grid.x_m / 1000, stack.grid.y_m / 1000
+    return Picture(
+        layers,
+        mask,
+        (float(x[0]) - 0.5, float(x[-1]) + 0.5, float(y[-1]) - 0.5, float(y[0]) + 0.5),
+        ("easting (km)", "northing (km), USGS grid"),
+        1.0,
+        _title(grid.isel(lead_day=lead_day), lead_day, note),
+    )
+
+
+def _title(day: xr.Dataset, lead_day: int, note: str) -> str:
+    start = np.datetime_as_string(day["lead_day_start"].to_numpy(), unit="m").replace("T", " ")
+    return f"Pre-fire danger, lead day {lead_day}: 24 h from {start} UTC" + (f"\n{note}" if note else "")
+
+
+def draw(picture: Picture, path: Path, attributes: dict[str, Any]) -> None:
+    """WFPI-x in classes, WFPI-x minus WFPI, and WFSP-x, as PNG; the footer says whether simulated and by which code."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 6.2), dpi=100)
+    wide = picture.mask_code.shape[1] > 1.25 * picture.mask_code.shape[0]
+    figure = Figure(figsize=(17, 6.4 if not wide else 5.4))
     axes = figure.subplots(1, 3)
-    day = grid.isel(lead_day=lead_day)
-    _classes(axes[0], day)
-    change = (day["wfpi_x"] - day["wfpi"]).to_numpy()
-    reach = max(5.0, float(np.nanmax(np.abs(change), initial=0.0))) if np.isfinite(change).any() else 5.0
-    _field(axes[1], day, change, ("RdBu_r", -reach, reach), "WFPI-x minus WFPI", "change by soil moisture and scars")
-    wfsp = day["wfsp_x"].to_numpy()
-    top = max(1.0, float(np.nanquantile(wfsp, 0.99))) if np.isfinite(wfsp).any() else 1.0
-    _field(
-        axes[2],
-        day,
-        wfsp,
-        ("magma_r", 0, top),
-        "WFSP-x: a lit fire exceeds 500 acres",
-        "probability (%), demonstration",
+    _classes(axes[0], picture)
+    _change(axes[1], picture, "wfpi", "WFPI-x minus WFPI", "change by soil moisture and scars")
+    wfsp = picture.layers.get("wfsp_x")
+    if wfsp is not None:
+        top = max(1.0, float(np.nanquantile(wfsp, 0.99))) if np.isfinite(wfsp).any() else 1.0
+        label = "probability (%), demonstration"
+        _field(axes[2], picture, wfsp, ("magma_r", 0, top), "WFSP-x: a lit fire exceeds 500 acres", label)
+    else:
+        axes[2].set_axis_off()
+    _finish(figure, picture, path, attributes)
+
+
+def draw_changes(picture: Picture, path: Path, attributes: dict[str, Any]) -> None:
+    """What soil moisture and burned area changed in WFPI, WLFP and WFSP, as PNG."""
+    from matplotlib.figure import Figure
+
+    wide = picture.mask_code.shape[1] > 1.25 * picture.mask_code.shape[0]
+    figure = Figure(figsize=(17, 6.4 if not wide else 5.4))
+    panels = (
+        ("wfpi", "WFPI-x minus WFPI", "WFPI"),
+        ("wlfp", "WLFP-x minus WLFP", "large fires per million km² and day"),
+        ("wfsp", "WFSP-x minus WFSP", "per cent"),
     )
-    start = np.datetime_as_string(day["lead_day_start"].to_numpy(), unit="m")
-    figure.suptitle(f"Pre-fire danger, lead day {lead_day}: 24 h from {start.replace('T', ' ')} UTC", fontsize=13)
-    simulated = "simulated input" if attributes.get("simulated") else "no simulated input"
-    footer = f"{simulated} · code {attributes.get('code_version', '')} · class limits of WFPI: {CLASS_EDGES[1:-1]}"
-    figure.text(0.01, 0.01, footer, fontsize=8, color="#444444")
-    figure.subplots_adjust(left=0.05, right=0.98, top=0.88, bottom=0.24, wspace=0.2)
-    figure.savefig(path, metadata={"Software": None})
+    for axis, (name, title, label) in zip(figure.subplots(1, 3), panels, strict=True):
+        _change(axis, picture, name, title, label)
+    _finish(figure, picture, path, attributes)
 
 
-def _extent(day: xr.Dataset) -> tuple[float, float, float, float]:
-    longitude, latitude = day["longitude"].to_numpy(), day["latitude"].to_numpy()
-    x = (longitude[1] - longitude[0]) / 2 if len(longitude) > 1 else 0.025
-    y = (latitude[1] - latitude[0]) / 2 if len(latitude) > 1 else 0.025
-    return longitude[0] - x, longitude[-1] + x, latitude[0] - y, latitude[-1] + y
+def _finish(figure: Any, picture: Picture, path: Path, attributes: dict[str, Any]) -> None:
+    figure.suptitle(picture.title, fontsize=13)
+    figure.subplots_adjust(left=0.05, right=0.985, top=0.86, bottom=0.29, wspace=0.2)
+    figures.save(figure, path, attributes)
 
 
-def _frame(axis: Any, day: xr.Dataset, title: str) -> None:
+def _frame(axis: Any, picture: Picture, title: str) -> None:
     axis.set_title(title, fontsize=11)
-    axis.set_xlabel("longitude (deg east)")
-    axis.set_ylabel("latitude (deg north)")
+    axis.set_xlabel(picture.labels[0], fontsize=9)
+    axis.set_ylabel(picture.labels[1], fontsize=9)
     axis.locator_params(axis="both", nbins=5)
-    middle = float(np.mean(day["latitude"].to_numpy()))
-    axis.set_aspect(1 / max(np.cos(np.radians(middle)), 0.1))
+    axis.tick_params(labelsize=8)
+    axis.set_aspect(picture.aspect)
 
 
-def _masked_background(axis: Any, day: xr.Dataset) -> list[int]:
+def _show(axis: Any, picture: Picture, values: Any, **scale: Any) -> Any:
+    return axis.imshow(values, origin="upper", extent=picture.extent, interpolation="nearest", aspect="auto", **scale)
+
+
+def _masked_background(axis: Any, picture: Picture) -> list[int]:
     """Paint the masked cells in their own colours; returns the codes that occur."""
     from matplotlib.colors import to_rgba
 
-    codes = day["mask_code"].to_numpy()
-    picture = np.full((*codes.shape, 4), to_rgba(MASK_COLOURS[255]))
+    codes = picture.mask_code
+    painted = np.full((*codes.shape, 4), to_rgba(legend.MASK_COLOURS[255]))
     present = [code for code in MASK_CODES if (codes == code).any()]
     for code in present:
-        picture[codes == code] = to_rgba(MASK_COLOURS[code])
-    axis.imshow(picture, origin="lower", extent=_extent(day), interpolation="nearest", aspect="auto")
+        painted[codes == code] = to_rgba(legend.MASK_COLOURS[code])
+    _show(axis, picture, painted)
     return present
 
 
-def _classes(axis: Any, day: xr.Dataset) -> None:
+def _classes(axis: Any, picture: Picture) -> None:
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
 
-    present = _masked_background(axis, day)
-    norm = BoundaryNorm(CLASS_EDGES, len(CLASS_NAMES))
-    values = np.ma.masked_invalid(day["wfpi_x"].to_numpy())
-    colours = ListedColormap(list(CLASS_COLOURS))
-    axis.imshow(
-        values, origin="lower", extent=_extent(day), cmap=colours, norm=norm, interpolation="nearest", aspect="auto"
-    )
-    handles = [Patch(color=colour, label=name) for colour, name in zip(CLASS_COLOURS, CLASS_NAMES, strict=True)]
-    handles += [Patch(facecolor=MASK_COLOURS[c], edgecolor="#888888", label=MASK_CODES[c]) for c in present]
-    axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncol=4, fontsize=8, frameon=False)
-    _frame(axis, day, "WFPI with soil moisture and burned area")
+    present = _masked_background(axis, picture)
+    values = np.ma.masked_invalid(picture.layers["wfpi_x"])
+    norm = BoundaryNorm(legend.CLASS_EDGES, len(legend.CLASS_NAMES))
+    _show(axis, picture, values, cmap=ListedColormap(list(legend.CLASS_COLOURS)), norm=norm)
+    handles = [Patch(color=colour, label=legend.class_label(i)) for i, colour in enumerate(legend.CLASS_COLOURS)]
+    if (values.mask & (picture.mask_code < 248)).any():
+        present = sorted({*present, 255})
+    names = {MASK_CODES[code]: code for code in present}
+    handles += [Patch(facecolor=legend.MASK_COLOURS[c], edgecolor="#888888", label=name) for name, c in names.items()]
+    axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncol=4, fontsize=8, frameon=False)
+    _frame(axis, picture, "WFPI with soil moisture and burned area")
 
 
-def _field(
-    axis: Any, day: xr.Dataset, values: np.ndarray, scale: tuple[str, float, float], title: str, label: str
-) -> None:
-    _masked_background(axis, day)
+def _change(axis: Any, picture: Picture, name: str, title: str, label: str) -> None:
+    if name == "wfpi" and "change" in picture.layers:
+        change = picture.layers["change"]
+    elif name + "_x" in picture.layers:
+        change = picture.layers[name + "_x"] - picture.layers[name]
+    else:
+        axis.set_axis_off()
+        return
+    finite = np.abs(change[np.isfinite(change)])
+    reach = max(float(np.quantile(finite, 0.998)), 5.0 if name == "wfpi" else 0.5) if len(finite) else 5.0
+    _field(axis, picture, change, ("RdBu_r", -reach, reach), title, label)
+
+
+def _field(axis: Any, picture: Picture, values: Array, scale: tuple[str, float, float], title: str, label: str) -> None:
+    _masked_background(axis, picture)
     name, low, high = scale
-    shown = np.ma.masked_invalid(values)
-    extent = _extent(day)
-    image = axis.imshow(
-        shown, origin="lower", extent=extent, cmap=name, vmin=low, vmax=high, interpolation="nearest", aspect="auto"
-    )
-    bar = axis.inset_axes((0.0, -0.24, 1.0, 0.05))
+    image = _show(axis, picture, np.ma.masked_invalid(values), cmap=name, vmin=low, vmax=high)
+    bar = axis.inset_axes((0.0, -0.24, 1.0, 0.045))
     axis.figure.colorbar(image, cax=bar, orientation="horizontal", label=label)
-    _frame(axis, day, title)
+    _frame(axis, picture, title)

@@ -11,14 +11,14 @@ CFFWI's interception) lowers it by e per 10 mm. Values may exceed 100, up to 247
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from services.prioritization import indices
 from shared.errors import DomainError
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 
 MASK_CODES: dict[int, str] = {
     248: "outside the area",
@@ -54,25 +54,13 @@ class WeatherTerms:
         return np.exp(self.wind_per_m_s * wind + self.temperature_per_c * warmth - wet)
 
 
-def check_ndvi(ndvi: Array, ndvi_min: Array, ndvi_max: Array) -> None:
-    """DomainError where NDVI or its extremes are not ratios within -1..1 (products store it times 10,000)."""
-    for name, values in (("ndvi", ndvi), ("ndvi_min", ndvi_min), ("ndvi_max", ndvi_max)):
-        bad = np.abs(values) > 1.0
-        if bad.any():
-            worst = float(values[bad].flat[0])
-            raise DomainError(f"'{name}' holds {worst:g}.", field=name, value=worst, accepted="-1..1")
-
-
 def relative_greenness(ndvi: Array, ndvi_min: Array, ndvi_max: Array) -> Array:
-    """RG in 0..1: where NDVI lies between the place's own extremes; NaN where those coincide."""
-    check_ndvi(ndvi, ndvi_min, ndvi_max)
+    """RG in 0..1: where NDVI (-1..1) lies between the place's own extremes; NaN where those coincide or are swapped.
+
+    USGS: RG = 100 (NDVI - min) / (max - min); beyond the extremes it is held at 0 or 1.
+    """
     span = np.where(ndvi_max > ndvi_min, ndvi_max - ndvi_min, np.nan)
     return np.clip((ndvi - ndvi_min) / span, 0, 1)
-
-
-def ten_hour_moisture_pct(temperature_max_c: Array, relative_humidity_min_pct: Array) -> Array:
-    """10-h fuel moisture of the afternoon as 1.28 x equilibrium moisture (Burgan et al. 1998), per cent."""
-    return 1.28 * indices.equilibrium_moisture_pct(temperature_max_c, relative_humidity_min_pct)
 
 
 def fpi_1998(
@@ -81,13 +69,13 @@ def fpi_1998(
     """FPI 0-100 of 1998: loads in any one unit, moistures in per cent.
 
     Live fraction lf = live x RG / (live + dead); FPIu = 100 - 100 (RG lf + TN df); the last line stretches it so that
-    the driest and deadest fuel (2 % moisture) reaches 100.
+    the driest and deadest fuel (2 % moisture) reaches 100; drier fuel stays there.
     """
     live_fraction = live_load * greenness / (live_load + dead_load)
     dryness = np.minimum(moisture_10h_pct / extinction_pct, 1)
     unscaled = 100 - 100 * (greenness * live_fraction + dryness * (1 - live_fraction))
     largest = 100 * (1 - 2 / extinction_pct)
-    return unscaled + (2 / extinction_pct) * (unscaled / largest) * 100
+    return np.minimum(unscaled + (2 / extinction_pct) * (unscaled / largest) * 100, 100)
 
 
 def live_ratio(greenness: Array, ndvi_max: Array, absolute_max: float) -> Array:
@@ -101,18 +89,21 @@ def fpi_2000(live_share: Array, moisture_10h_pct: Array, extinction_pct: Array) 
     return 100 * (1 - live_share) * (1 - fraction)
 
 
-def wfpi(
-    fpi: Array, wind_speed_m_s: Array, temperature_c: Array, rain_mm: Array, terms: WeatherTerms | None = None
-) -> Array:
-    """WFPI 0-247: FPI times the weather factors; exactly FPI where those are neutral, NaN where anything is unknown."""
-    factor = (terms or WeatherTerms()).factor(wind_speed_m_s, temperature_c, rain_mm)
+def wfpi(fpi: Array, factor: Array) -> Array:
+    """WFPI 0-247: FPI times the weather's factor; exactly FPI where that is 1, NaN where anything is unknown."""
     return np.clip(fpi * factor, 0, LARGEST_VALUE)
 
 
 def coded(values: Array, mask_code: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """The USGS's integer layer (..., y, x): rounded values 0-247, mask codes 248-255, 255 where nothing is known."""
-    rounded = np.where(np.isfinite(values), np.rint(np.nan_to_num(values)), 255).astype(np.uint8)
-    return np.where(mask_code >= 248, mask_code, rounded).astype(np.uint8)
+    rounded = np.where(np.isnan(values), 255, np.rint(values)).astype(np.uint8)
+    return np.where(mask_code >= 248, mask_code, rounded)
+
+
+def coded_tenths(values: Array, mask_code: npt.NDArray[np.uint8]) -> npt.NDArray[np.int16]:
+    """WLFP or WFSP (..., y, x) in the USGS's tenths: values times ten up to 2479, mask codes times ten (2480-2550)."""
+    tenths = np.where(np.isnan(values), 2550, np.clip(np.rint(values * 10), 0, 2479)).astype(np.int16)
+    return np.where(mask_code >= 248, mask_code.astype(np.int16) * np.int16(10), tenths)
 
 
 def checked_mask(mask_code: npt.ArrayLike) -> npt.NDArray[np.uint8]:

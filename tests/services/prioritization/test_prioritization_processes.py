@@ -138,7 +138,7 @@ def test_short_weather_leaves_later_days_unknown(room, make, time):
 
 
 def test_dry_soil_seen_raises_danger_there_only(room, make, time, danger):
-    from services.prioritization.prefire.observed_land import ease_cells
+    from services.prioritization.prefire.soil_moisture import ease_cells
 
     row, column = ease_cells(np.array([-108.0]), np.array([33.5]))
     table = pd.DataFrame(

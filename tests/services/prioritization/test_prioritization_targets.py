@@ -14,7 +14,7 @@ from shapely.geometry import Point, box
 
 from services.prioritization import active_targets, expected_front, observation_age, reward, targets, weather
 from services.prioritization.lattice import Lattice
-from services.prioritization.prefire import danger
+from services.prioritization.prefire import conditions, danger, danger_run, fuels
 from shared.contracts import tables
 from shared.errors import DomainError
 
@@ -29,11 +29,11 @@ def grid_parts():
 @pytest.fixture
 def grid(make, time, grid_parts):
     if "grid" not in grid_parts:
-        fuels = danger.fuels_from_dataset(make["fuels"](0.1))
+        vegetation = fuels.fuels_from_dataset(make["fuels"](0.1))
         air = weather.weather_from_dataset(make["weather"](hours=48))
-        conditions = danger.conditions_on_fuels(air, None, time, fuels)
-        seen = danger.seen_land(fuels, [], [], time, danger.DangerEffects())
-        grid_parts["grid"] = danger.danger(fuels, conditions, seen, time)
+        daily = conditions.daily_conditions(air, None, time)
+        seen = danger.seen_land(vegetation.grid, [], [], time, danger.DangerEffects())
+        grid_parts["grid"] = danger_run.rate(vegetation, daily, seen, time).grid
     return grid_parts["grid"]
 
 
