@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 
 from services.access.ellipsoid import SEMI_MAJOR_M, SEMI_MINOR_M, to_cartesian
-from services.access.events.contacts import Station, find_contacts, sine_elevation
+from services.access.events.azimuth_mask import AzimuthMask
+from services.access.events.contacts import (
+    Station,
+    azimuth_deg,
+    find_contacts,
+    part_by_duration,
+    sine_elevation,
+    stations_from,
+)
 from services.access.events.crossings import maximum_in, positive_intervals
 from services.access.events.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_position_itrf
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
@@ -105,16 +113,108 @@ def test_a_station_that_is_no_place_is_refused() -> None:
             replace(STATIONS[0], **bad)
 
 
+def test_up_may_be_the_direction_from_the_centre() -> None:
+    """At 45 degrees the two differ by 0.19 degrees towards the pole; elevations to the north and south by that."""
+    normal = Station("s", 45.0, 10.0, 0.0, up="geodetic")
+    radial = replace(normal, up="spherical")
+    north = to_cartesian(np.array([50.0]), np.array([10.0]), 5e5)
+    south = to_cartesian(np.array([40.0]), np.array([10.0]), 5e5)
+    for place, sign in ((north, -1.0), (south, 1.0)):
+        tilt = np.degrees(np.arcsin(sine_elevation(place, normal)) - np.arcsin(sine_elevation(place, radial)))
+        assert tilt[0] == pytest.approx(sign * -0.1924, abs=0.001)
+    equator = Station("e", 0.0, 0.0, 0.0, up="spherical")
+    assert np.allclose(equator.axes(), replace(equator, up="geodetic").axes())
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "expected"), [(46, 10, 0), (45, 11, 90), (44, 10, 180), (45, 9, 270)]
+)
+def test_azimuths_run_from_north_over_east(latitude: float, longitude: float, expected: float) -> None:
+    station = Station("s", 45.0, 10.0, 0.0)
+    place = to_cartesian(np.array([float(latitude)]), np.array([float(longitude)]), 1e5)
+    assert (azimuth_deg(place, station)[0] - expected + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_mask_by_azimuth_is_linear_and_goes_around() -> None:
+    mask = AzimuthMask.parse("10:5 100:20, 350:9", "s")
+    at = np.array([10.0, 55.0, 100.0, 0.0, 350.0, 360.0])
+    assert np.allclose(mask.elevation_deg(at), [5.0, 12.5, 20.0, 7.0, 9.0, 7.0])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0:7 0:8", "0:7 20:-1", "0:7 400:3", "90", "north:7", "0:7 90:95", "90:5 0:5", "0:nan"]
+)
+def test_a_broken_mask_names_station_and_pair(text: str) -> None:
+    with pytest.raises(DomainError, match="station hawaii") as caught:
+        AzimuthMask.parse(text, "hawaii")
+    assert caught.value.field == "azimuth_mask"
+
+
+def test_contacts_over_a_horizon_by_azimuth_agree_with_a_dense_scan(orbit: Ephemeris) -> None:
+    """A jagged horizon, higher and lower than the plain mask: a scan at 0.05 s finds the same contacts."""
+    mask = AzimuthMask.parse("0:3 40:25 41:3 130:10 170:30 190:4 260:15 275:45 300:6", "s")
+    for station in (replace(each, azimuth_mask=mask) for each in STATIONS):
+        contacts = find_contacts(orbit, [station], 86400.0)
+        dense = np.concatenate(
+            [
+                np.arange(c.start_s + 0.01, c.end_s - 0.01, 0.05)
+                for c in find_contacts(orbit, [replace(station, azimuth_mask=None)], 86400.0)
+            ]
+        )
+        position, _ = orbit.states(dense)
+        elevation = np.degrees(np.arcsin(sine_elevation(position, station)))
+        azimuth = azimuth_deg(position, station)
+        over = (elevation > station.mask_deg) & (elevation > mask.elevation_deg(azimuth))
+        inside = np.zeros(len(dense), dtype=bool)
+        for contact in contacts:
+            inside |= (dense >= contact.start_s) & (dense <= contact.end_s)
+            assert contact.max_elevation_deg >= station.mask_deg
+        assert np.array_equal(inside, over)
+        assert 0 < over.sum() < len(over)
+
+
+def test_a_level_horizon_by_azimuth_is_the_plain_mask(orbit: Ephemeris) -> None:
+    plain = Station("s", 19.0, -155.65, 367.0, 12.0)
+    level = replace(plain, mask_deg=5.0, azimuth_mask=AzimuthMask((0.0, 180.0), (12.0, 12.0)))
+    for a, b in zip(find_contacts(orbit, [plain], 86400.0), find_contacts(orbit, [level], 86400.0), strict=True):
+        assert (a.start_s, a.end_s) == pytest.approx((b.start_s, b.end_s), abs=1e-5)
+
+
+def test_contacts_are_parted_by_their_length(orbit: Ephemeris) -> None:
+    every = find_contacts(orbit, STATIONS, 86400.0)
+    length = sorted(contact.end_s - contact.start_s for contact in every)[3]
+    long, short = part_by_duration(every, length)
+    assert len(short) == 3 and len(long) == len(every) - 3
+    assert part_by_duration(every, 0.0) == (every, [])
+
+
+def test_stations_are_made_from_rows_and_the_bad_row_is_named() -> None:
+    row = {
+        "station": "a",
+        "latitude_deg": 1.0,
+        "longitude_deg": 2.0,
+        "height_m": 3.0,
+        "mask_deg": 4.0,
+        "datum": "spherical",
+    }
+    plain, own = stations_from([row, {**row, "station": "b", "up": "spherical", "azimuth_mask": "0:5 90:6"}])
+    assert plain == Station("a", 1.0, 2.0, 3.0, 4.0, "spherical") and plain.azimuth_mask is None
+    assert own.up == "spherical" and own.azimuth_mask == AzimuthMask((0.0, 90.0), (5.0, 6.0))
+    for change in ({"mask_deg": 90.0}, {"azimuth_mask": "0:5 0:6"}):
+        with pytest.raises(DomainError, match="row 1 of the stations"):
+            stations_from([row, {**row, "station": "b", **change}])
+
+
 def test_contacts_agree_with_gmat(real_data: Path) -> None:
     differences = gmat_contact_differences_s(real_data / "events/gmat_cygfm01")
     assert differences.shape == (9, 2)
-    assert np.abs(differences).max() < 0.1
+    assert np.abs(differences).max() < 0.02
 
 
 def test_eclipses_agree_with_gmat(real_data: Path) -> None:
     differences = gmat_eclipse_differences_s(real_data / "events/gmat_cygfm01")
     assert differences.shape == (23, 2)
-    assert np.abs(differences).max() < 0.3
+    assert np.abs(differences).max() < 0.2
 
 
 @pytest.mark.parametrize(
@@ -127,7 +227,7 @@ def test_eclipses_agree_with_gmat(real_data: Path) -> None:
     ],
 )
 def test_the_sun_is_where_equinoxes_and_solstices_put_it(when: datetime, longitude_deg: float) -> None:
-    """Published minutes of the seasons: 0.01 degrees of the Sun are a quarter of an hour."""
+    """Published minutes of the seasons: the Sun moves 0.0007 degrees in one."""
     orientation = orientation_at(when)
     x, y, z = sun_position_itrf(np.zeros(1), orientation)[0]
     turn = gmst82_rad(orientation.days_ut1(np.zeros(1)))[0]
@@ -136,7 +236,7 @@ def test_the_sun_is_where_equinoxes_and_solstices_put_it(when: datetime, longitu
     longitude = np.degrees(
         np.arctan2(inertial_y * np.cos(obliquity) + z * np.sin(obliquity), np.cos(turn) * x - np.sin(turn) * y)
     )
-    assert abs((longitude - longitude_deg + 180.0) % 360.0 - 180.0) < 0.01
+    assert abs((longitude - longitude_deg + 180.0) % 360.0 - 180.0) < 0.006
 
 
 def test_shadow_of_a_satellite_behind_the_equator_is_the_textbook_cone() -> None:
