@@ -18,7 +18,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "rain_mm": (-0.01, 2000.0, "mm per day"),
     "annual_rain_mm": (0.0, 15000.0, "mm per year"),
     "kbdi_mm": (0.0, 203.2001, "mm"),
-    "height_agl_m": (-600.0, 60000.0, "m"),
+    "height_agl_m": (-12000.0, 60000.0, "m"),
     "latitude_deg": (-90.0, 90.0, "degrees"),
 }
 """Wide enough for any level of the atmosphere that an index reads; surface grids have their own, narrower ones."""

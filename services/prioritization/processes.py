@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import AwareDatetime, Field
 
+from services.prioritization.fire_weather.processes import FIRE_WEATHER_PROCESSES
 from services.prioritization.prefire_processes import PREFIRE_PROCESSES
 from shared.artifacts.reference import ArtifactRef
 from shared.process import JobContext, Process, ProcessInputs, ProcessOutputs
@@ -256,4 +257,5 @@ PROCESSES = [
         outputs=TrainLargeFireModelOutputs,
         run=train_large_fire_model,
     ),
+    *FIRE_WEATHER_PROCESSES,
 ]

@@ -1,0 +1,1 @@
+"""Fire weather indices as maps, from upper-air weather, and the statement of what each index is."""
