@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, BeforeValidator, Field
+from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 
 from services.access.orbits.constellations import CONSTELLATIONS
 from shared.artifacts.reference import ArtifactRef
 from shared.process.context import JobContext
 from shared.process.declaration import Process, ProcessInputs, ProcessOutputs
-
-if TYPE_CHECKING:
-    from services.access.fleets import Fleet
-    from services.access.prediction import Access
 
 
 def _constellation_name(given: object) -> object:
@@ -24,6 +20,17 @@ def _constellation_name(given: object) -> object:
 
 ORBIT_FORMATS = "TLE text, CCSDS OMM (JSON list, XML, KVN), CCSDS OEM (KVN, XML) or SP3, recognised by content"
 Constellation = Annotated[Literal["GPS", "Galileo", "BeiDou", "QZSS"], BeforeValidator(_constellation_name)]
+
+
+class GridInputs(BaseModel):
+    """Cells of even spacing in degrees over a box or the globe."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    spacing_deg: float = Field(ge=0.01, le=30, description="width and height of a cell, degrees")
+    area: tuple[float, float, float, float] | None = Field(
+        None, description="lon_min, lat_min, lon_max, lat_max; lon_min > lon_max crosses the dateline; null: the globe"
+    )
+    land_only: bool = Field(False, description="cells whose middle lies on land only (Natural Earth 1:110m)")
 
 
 class PredictAccessInputs(ProcessInputs):
@@ -47,15 +54,54 @@ class PredictAccessInputs(ProcessInputs):
         0.0, ge=0, le=3600, description="contacts shorter than this (s) are left out and named in the report"
     )
     stations: ArtifactRef = Field(description="stations table")
-    targets: ArtifactRef = Field(description="targets table: points to be covered")
+    targets: ArtifactRef | None = Field(
+        None, description="targets table: points to be covered; null: tracks, contacts and eclipses only"
+    )
+    grid: GridInputs | None = Field(None, description="an even grid of cells to be covered, beside any targets")
+    grid_cells: ArtifactRef | None = Field(
+        None, description="cells by their centres instead: Parquet with latitude_deg and longitude_deg"
+    )
+    with_cell_opportunities: bool = Field(
+        False, description="also write a row per image and cell (images numbered apart from those of targets)"
+    )
     start: AwareDatetime = Field(description="start of the horizon, a whole second, with its time zone")
     duration_s: int = Field(86400, gt=0, le=14 * 86400, description="length of the horizon, s")
     step_s: int = Field(1, ge=1, le=600, description="time between images, s; must divide duration_s")
     target_radius_km: float = Field(
         10.0, ge=0.1, le=200, description="a target this near (km) to a specular point is covered by the image"
     )
+    covered_by: Literal["radius", "footprint"] = Field(
+        "radius",
+        description="what covers: target_radius_km about a specular point, or its footprint, the first Fresnel zone "
+        "stretched by incidence and moved for one second; a cell is covered by its middle or by a footprint's touch",
+    )
+    mode: Literal["raw-if", "nominal"] = Field(
+        "raw-if",
+        description="which specular points an image holds: raw-if, every one in the antenna beams; nominal, those of "
+        "highest gain, as many as the receiver has channels",
+    )
     max_incidence_deg: float = Field(
         65.0, gt=0, le=85, description="largest incidence angle at a specular point, degrees"
+    )
+    surface_height_m: float = Field(
+        0.0, ge=-500, le=9000, description="height of the reflecting surface over WGS84, m; targets lie on it, too"
+    )
+    antenna: ArtifactRef | None = Field(
+        None,
+        description="JSON of the receivers' antennas: channels, floor_dbi, and for each antenna its tilt and gain "
+        "table (services/access/specular/antennas/cygnss.json is one); null: CYGNSS",
+    )
+    satellite_roll: ArtifactRef | None = Field(
+        None,
+        description="Parquet with satellite, time, roll_deg: roll about the flight direction (positive: starboard "
+        "down), straight lines between times; null: no roll",
+    )
+    along_track_error_km: float | None = Field(
+        None,
+        ge=0,
+        le=500,
+        description="along-track error of receivers that covered_ahead and covered_behind are worked out for; null: "
+        "from the age of their elements",
     )
     max_element_age_days: float = Field(
         30.0, gt=0, le=365, description="satellites whose elements are further from the start (days) are left out"
@@ -76,6 +122,12 @@ class PredictAccessOutputs(ProcessOutputs):
     contacts: ArtifactRef = Field(description="contacts table")
     eclipses: ArtifactRef = Field(description="eclipses table, umbra and penumbra")
     specular_points: ArtifactRef | None = Field(None, description="specular tracks, where asked for")
+    revisit: ArtifactRef | None = Field(None, description="visits and the gaps between them, a row per target")
+    cells: ArtifactRef | None = Field(None, description="the grid's cells with visits and gaps, GeoParquet")
+    cell_coverage: ArtifactRef | None = Field(None, description="visits and waits of an even grid, GeoTIFF (COG)")
+    cell_opportunities: ArtifactRef | None = Field(
+        None, description="opportunities table of the cells, target_id being the cell_id, where asked for"
+    )
     report: ArtifactRef = Field(description="JSON: ages of the elements, warnings, satellites left out, counts")
     timeline: ArtifactRef | None = Field(None, description="PNG of contacts and eclipses, where figures are asked for")
     warnings: list[str] = Field(
@@ -86,103 +138,19 @@ class PredictAccessOutputs(ProcessOutputs):
     contact_count: int = Field(description="rows of contacts")
     eclipse_count: int = Field(description="rows of eclipses")
     targets_covered: int = Field(description="targets covered by at least one image")
+    cells_covered: int = Field(0, description="cells covered by at least one image")
 
 
 def predict_access(inputs: PredictAccessInputs, context: JobContext) -> PredictAccessOutputs:
     """Run one prediction; core errors name the field, line or row at fault."""
-    from dataclasses import replace
+    from services.access.step import run_prediction
 
-    import numpy as np
-
-    from services.access import prediction, products
-    from services.access.events.contacts import stations_from
-    from services.access.orbits.constellations import letters_of
-    from services.access.orbits.formats import read_files
-
-    targets = context.read_table(inputs.targets, "TARGETS")
-    stations = stations_from(context.read_table(inputs.stations, "STATIONS").to_dict("records"))
-    receivers, transmitters = (
-        read_files([(one.name, context.path(one).read_text(encoding="utf-8", errors="replace")) for one in files], name)
-        for name, files in (("receivers", _each(inputs.receivers)), ("transmitters", _each(inputs.transmitters)))
-    )
-    fleet, letters = _fleet(inputs, context), letters_of(inputs.constellations)
-    missing: dict[str, str] = {}
-    if fleet is not None:
-        receivers, missing = fleet.pick(receivers)
-        letters = letters or fleet.constellations
-        if fleet.example:
-            context.mark_simulated()
-    access = prediction.predict(
-        receivers,
-        transmitters,
-        stations,
-        (targets.geometry.y.to_numpy(), targets.geometry.x.to_numpy()),
-        prediction.Horizon(inputs.start, inputs.duration_s, inputs.step_s),
-        prediction.AccessOptions(
-            target_radius_km=inputs.target_radius_km,
-            max_incidence_deg=inputs.max_incidence_deg,
-            max_element_age_days=inputs.max_element_age_days,
-            with_specular_points=inputs.with_specular_points,
-            area=inputs.area,
-            constellations=letters,
-            min_contact_s=inputs.min_contact_s,
-        ),
-        context.progress,
-    )
-    access = replace(access, dropped=access.dropped | missing)
-    context.progress(85, "writing tables")
-    summary = products.report(access, len(targets))
-    opportunities = products.opportunities_frame(access, targets["target_id"].to_numpy(np.int64))
-    points = None
-    if inputs.with_specular_points:
-        points = context.write_table(
-            "specular_points.parquet", products.specular_points_frame(access), "SPECULAR_POINTS"
-        )
-    counts = summary["counts"]
-    return PredictAccessOutputs(
-        opportunities=context.write_table("opportunities.parquet", opportunities, "OPPORTUNITIES"),
-        contacts=context.write_table("contacts.parquet", products.contacts_frame(access), "CONTACTS"),
-        eclipses=context.write_table("eclipses.parquet", products.eclipses_frame(access), "ECLIPSES"),
-        specular_points=points,
-        report=context.write_json("report.json", summary),
-        timeline=_timeline(access, [station.name for station in stations], context) if inputs.with_figures else None,
-        warnings=summary["warnings"],
-        opportunity_count=counts["opportunities"],
-        image_count=counts["images"],
-        contact_count=counts["contacts"],
-        eclipse_count=counts["eclipses"],
-        targets_covered=counts["targets_covered"],
-    )
-
-
-def _fleet(inputs: PredictAccessInputs, context: JobContext) -> Fleet | None:
-    from services.access.fleets import read_fleet, shipped_fleet
-
-    if inputs.fleet is None:
-        return None
-    if isinstance(inputs.fleet, str):
-        return shipped_fleet(inputs.fleet)
-    return read_fleet(context.read_json(inputs.fleet))
-
-
-def _timeline(access: Access, stations: list[str], context: JobContext) -> ArtifactRef:
-    from services.access.events.timeline import SatelliteEvents, draw_timeline
-    from shared import figures
-
-    rows = [SatelliteEvents(one.track.satellite, one.contacts, one.eclipses) for one in access.satellites]
-    figure = draw_timeline(rows, stations, access.horizon.start, float(access.horizon.duration_s))
-    figures.save(figure, context.new_file("timeline.png"), context.product_attributes())
-    return context.ref("timeline.png")
-
-
-def _each(reference: ArtifactRef | list[ArtifactRef]) -> list[ArtifactRef]:
-    return reference if isinstance(reference, list) else [reference]
+    return run_prediction(inputs, context)
 
 
 # Imported by a worker before its first job; the HTTP side stays light.
 WARM_MODULES = (
-    "services.access.prediction",
-    "services.access.products",
+    "services.access.step",
     "shared.contracts.tables",
 )
 

@@ -1,4 +1,4 @@
-"""The compiled core of access prediction: the shortest reflected path on WGS84, followed through time, with its gain.
+"""The compiled core of access prediction: the shortest reflected path over WGS84, followed through time, with its gain.
 
 All compiled functions that call each other stand in this one file: Numba renews its cache when the file of a function
 changes, and not when another file does that it calls into.
@@ -16,11 +16,14 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SOLVED, OCCULTED, GRAZING = 0, 1, 2
+# what became of every pair and instant looked at: the columns of ``follow_all``'s counts
+KEPT, COUNT_OCCULTED, BEYOND_LIMIT, UNCERTIFIED = 0, 1, 2, 3
 MAX_ITERATIONS = 40
 MAX_STEP_M = 300_000.0
-LAST_STEP_M = 1e-3  # convergence is quadratic: the step after one of 1 mm is below rounding
+# Newton's error after a step of s metres is about s^2 / 500 km
+LAST_STEP_M = 1e-3
+LAST_FOLLOWED_STEP_M = 0.1
 ANGLE_LIMIT_DEG = 1e-6
-NOMINAL_CHANNELS = 4  # CYGNSS records four delay-Doppler maps at a time
 COLUMNS = 10
 
 _A2 = SEMI_MAJOR_M**2
@@ -28,14 +31,18 @@ _B2 = SEMI_MINOR_M**2
 
 
 @njit(cache=True, nogil=True)
-def solve_all(receiver: Array, transmitter: Array, table: Array) -> None:
+def solve_all(receiver: Array, transmitter: Array, start: Array, height: float, table: Array) -> None:
+    """Rows: x, y, z, incidence, mismatch, ranges to R and T, status. ``start`` has a first guess a row, or no row."""
     for row in range(len(receiver)):
         r, t = receiver[row], transmitter[row]
-        if occulted(r[0], r[1], r[2], t[0], t[1], t[2]):
+        if occulted(r[0], r[1], r[2], t[0], t[1], t[2], height):
             table[row, 7] = OCCULTED
             continue
-        x, y, z = first_guess(r[0], r[1], r[2], t[0], t[1], t[2])
-        point = solve(x, y, z, r[0], r[1], r[2], t[0], t[1], t[2])
+        if len(start) > 0:
+            x, y, z = start[row, 0], start[row, 1], start[row, 2]
+        else:
+            x, y, z = first_guess(r[0], r[1], r[2], t[0], t[1], t[2])
+        point = solve(x, y, z, r[0], r[1], r[2], t[0], t[1], t[2], height, LAST_STEP_M)
         table[row, 7] = SOLVED if point[7] else GRAZING
         if point[7]:
             table[row, 0], table[row, 1], table[row, 2], table[row, 3] = point[0], point[1], point[2], point[3]
@@ -43,9 +50,12 @@ def solve_all(receiver: Array, transmitter: Array, table: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def occulted(rx: float, ry: float, rz: float, tx: float, ty: float, tz: float) -> bool:
-    """Whether the ellipsoid stands between two points: nearest approach in axes that make it a unit sphere."""
-    a, b = SEMI_MAJOR_M, SEMI_MINOR_M
+def occulted(rx: float, ry: float, rz: float, tx: float, ty: float, tz: float, height: float) -> bool:
+    """Whether the Earth stands between two points: nearest approach in axes that make it a unit sphere.
+
+    The surface ``height`` metres up is taken for the ellipsoid of axes that much longer (off by 0.2 % of the height).
+    """
+    a, b = SEMI_MAJOR_M + height, SEMI_MINOR_M + height
     x, y, z = rx / a, ry / a, rz / b
     dx, dy, dz = tx / a - x, ty / a - y, tz / b - z
     share = -(x * dx + y * dy + z * dz) / (dx * dx + dy * dy + dz * dz)
@@ -56,41 +66,54 @@ def occulted(rx: float, ry: float, rz: float, tx: float, ty: float, tz: float) -
 
 @njit(cache=True, nogil=True)
 def first_guess(rx: float, ry: float, rz: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
-    """A surface point under the straight line, at the share of it that the two heights give for a plane."""
+    """A point under the straight line, at the share of it that the two heights give for a plane."""
     height_r = np.sqrt(rx * rx + ry * ry + rz * rz) - SEMI_MAJOR_M + 30_000.0
     height_t = np.sqrt(tx * tx + ty * ty + tz * tz) - SEMI_MAJOR_M + 30_000.0
     share = height_r / (height_r + height_t)
-    x, y, z = rx + share * (tx - rx), ry + share * (ty - ry), rz + share * (tz - rz)
-    scale = 1.0 / np.sqrt((x * x + y * y) / _A2 + z * z / _B2)
-    return x * scale, y * scale, z * scale
+    return rx + share * (tx - rx), ry + share * (ty - ry), rz + share * (tz - rz)
 
 
 @njit(cache=True, nogil=True)
 def solve(
-    x: float, y: float, z: float, rx: float, ry: float, rz: float, tx: float, ty: float, tz: float
+    x: float,
+    y: float,
+    z: float,
+    rx: float,
+    ry: float,
+    rz: float,
+    tx: float,
+    ty: float,
+    tz: float,
+    height: float,
+    last_step: float,
 ) -> tuple[float, float, float, float, float, float, float, bool]:
-    """From a start on the surface: the point (m), incidence, mismatch (rad), ranges to R and T (m), certified.
+    """From a start near the surface: the point (m), incidence, mismatch (rad), ranges to R and T (m), certified.
 
-    With u the unit vectors from the point to R and T, the path's gradient in the plane is -(u_r + u_t), and its second
-    derivative the sum of (I - u u^T)/range plus (cos i_r + cos i_t) times the curvature: positive definite wherever the
-    point sees both, so Newton's step descends; steps are cut at 300 km for far starts.
+    The surface lies ``height`` metres over WGS84 along its normal n. With u the unit vectors from the point to R and
+    T, the path's gradient in the tangent plane is -(u_r + u_t), and its second derivative the sum of (I - u u^T)/range
+    plus (cos i_r + cos i_t) times the curvature: positive definite wherever the point sees both, so Newton's step
+    descends; steps are cut at 300 km for far starts.
     """
+    scale = 1.0 / np.sqrt((x * x + y * y) / _A2 + z * z / _B2)
+    x, y, z = x * scale, y * scale, z * scale  # from here the foot on WGS84; the point is (px, py, pz)
     step = 1e9
     for _ in range(MAX_ITERATIONS):
-        nx, ny, nz = _normal(x, y, z)
-        ux, uy, uz, rr = _unit(rx - x, ry - y, rz - z)
-        vx, vy, vz, rt = _unit(tx - x, ty - y, tz - z)
+        nx, ny, nz, _n = _unit(x / _A2, y / _A2, z / _B2)
+        px, py, pz = x + height * nx, y + height * ny, z + height * nz
+        ux, uy, uz, rr = _unit(rx - px, ry - py, rz - pz)
+        vx, vy, vz, rt = _unit(tx - px, ty - py, tz - pz)
         across = np.sqrt(nx * nx + ny * ny)
         ex, ey = (-ny / across, nx / across) if across > 1e-12 else (0.0, 1.0)
         kx, ky, kz = -nz * ey, nz * ex, nx * ey - ny * ex  # north = n x e
         ue, un = ux * ex + uy * ey, ux * kx + uy * ky + uz * kz
         ve, vn = vx * ex + vy * ey, vx * kx + vy * ky + vz * kz
         w2 = 1.0 - ECCENTRICITY_SQUARED * nz * nz
-        curvature_e = np.sqrt(w2) / SEMI_MAJOR_M
-        curvature_n = curvature_e * w2 / (1.0 - ECCENTRICITY_SQUARED)
+        foot_e = np.sqrt(w2) / SEMI_MAJOR_M
+        foot_n = foot_e * w2 / (1.0 - ECCENTRICITY_SQUARED)
+        wider_e, wider_n = 1.0 + height * foot_e, 1.0 + height * foot_n
         lift = max((ux + vx) * nx + (uy + vy) * ny + (uz + vz) * nz, 1e-3)
-        hee = (1.0 - ue * ue) / rr + (1.0 - ve * ve) / rt + lift * curvature_e
-        hnn = (1.0 - un * un) / rr + (1.0 - vn * vn) / rt + lift * curvature_n
+        hee = (1.0 - ue * ue) / rr + (1.0 - ve * ve) / rt + lift * foot_e / wider_e
+        hnn = (1.0 - un * un) / rr + (1.0 - vn * vn) / rt + lift * foot_n / wider_n
         hen = -(ue * un / rr + ve * vn / rt)
         ge, gn = ue + ve, un + vn
         determinant = hee * hnn - hen * hen
@@ -98,25 +121,21 @@ def solve(
         step = np.sqrt(de * de + dn * dn)
         if step > MAX_STEP_M:
             de, dn = de * MAX_STEP_M / step, dn * MAX_STEP_M / step
+        de, dn = de / wider_e, dn / wider_n
         x, y, z = x + de * ex + dn * kx, y + de * ey + dn * ky, z + dn * kz
         scale = 1.0 / np.sqrt((x * x + y * y) / _A2 + z * z / _B2)
         x, y, z = x * scale, y * scale, z * scale
-        if step < LAST_STEP_M:
+        if step < last_step:
             break
-    nx, ny, nz = _normal(x, y, z)
-    ux, uy, uz, rr = _unit(rx - x, ry - y, rz - z)
-    vx, vy, vz, rt = _unit(tx - x, ty - y, tz - z)
+    nx, ny, nz, _n = _unit(x / _A2, y / _A2, z / _B2)
+    px, py, pz = x + height * nx, y + height * ny, z + height * nz
+    ux, uy, uz, rr = _unit(rx - px, ry - py, rz - pz)
+    vx, vy, vz, rt = _unit(tx - px, ty - py, tz - pz)
     incidence = _angle(nx, ny, nz, vx, vy, vz)
     mismatch = abs(incidence - _angle(nx, ny, nz, ux, uy, uz))
     seen = ux * nx + uy * ny + uz * nz > 0.0 and vx * nx + vy * ny + vz * nz > 0.0
-    certified = seen and step < LAST_STEP_M and mismatch < np.radians(ANGLE_LIMIT_DEG)
-    return x, y, z, incidence, mismatch, rr, rt, certified
-
-
-@njit(cache=True, nogil=True)
-def _normal(x: float, y: float, z: float) -> tuple[float, float, float]:
-    nx, ny, nz, _ = _unit(x / _A2, y / _A2, z / _B2)
-    return nx, ny, nz
+    certified = seen and step < last_step and mismatch < np.radians(ANGLE_LIMIT_DEG)
+    return px, py, pz, incidence, mismatch, rr, rt, certified
 
 
 @njit(cache=True, nogil=True)
@@ -133,20 +152,38 @@ def _angle(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> 
 
 
 @njit(cache=True, nogil=True)
-def beam_gain_dbi(forward: float, starboard: float, nadir: float, parameters: Array) -> float:
-    """The better beam's gain (dBi) along a unit vector given in body components.
+def gain_dbi(forward: float, starboard: float, nadir: float, table: Array) -> float:
+    """Gain (dBi) along a unit vector in body components: bilinear in a table of its forward and starboard cosines.
 
-    The lobe nearer the direction is the one on its side, so only that one is evaluated.
+    ``table`` (n, n) spans -1..1 both ways; the first entry is the gain of what looks up.
     """
-    peak, floor, off_nadir, across_width, along_width = parameters
-    cosine, sine = np.cos(off_nadir), np.sin(off_nadir)
-    side = abs(starboard)
-    along_axis = cosine * nadir + sine * side
-    across = cosine * side - sine * nadir
-    off_axis = np.sqrt(across * across + forward * forward)
-    scale = np.arctan2(off_axis, along_axis) / max(off_axis, 1e-300)
-    gain = peak - 12.0 * ((across * scale / across_width) ** 2 + (forward * scale / along_width) ** 2)
-    return max(gain, floor)
+    if nadir <= 0.0:
+        return table[0, 0]
+    last = len(table) - 1
+    u, v = (forward + 1.0) * 0.5 * last, (starboard + 1.0) * 0.5 * last
+    i, j = min(max(int(u), 0), last - 1), min(max(int(v), 0), last - 1)
+    u, v = u - i, v - j
+    fore = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+    aft = (1.0 - v) * table[i, j] + v * table[i, j + 1]
+    return u * fore + (1.0 - u) * aft
+
+
+@njit(cache=True, nogil=True)
+def gain_towards(axes: Array, dx: float, dy: float, dz: float, table: Array) -> float:
+    return gain_dbi(
+        axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz,
+        axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz,
+        axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz,
+        table,
+    )
+
+
+@njit(cache=True, nogil=True)
+def gains_towards(axes: Array, receiver: Array, point: Array, table: Array, gain: Array) -> None:
+    """Gains (n,) from receivers towards points (n, 3) with body axes (n, 3, 3)."""
+    for k in range(len(point)):
+        dx, dy, dz, _d = _unit(point[k, 0] - receiver[k, 0], point[k, 1] - receiver[k, 1], point[k, 2] - receiver[k, 2])
+        gain[k] = gain_towards(axes[k], dx, dy, dz, table)
 
 
 @njit(cache=True, nogil=True)
@@ -158,17 +195,20 @@ def follow_all(
     wanted: Flags,
     least_cosine: float,
     max_incidence: float,
-    beams: Array,
-) -> tuple[Array, int, int]:
+    height: float,
+    gains: Array,
+    channels: int,
+    counts: NDArray[np.int64],
+) -> tuple[Array, int]:
     """Rows: time, transmitter, x, y, z, incidence, mismatch, gain, range to receiver, range to transmitter.
 
-    The last is negative where the row is one of the four nominal channels. Each pair starts from its point of the step
-    before, moved on as in that step, which leaves two iterations; a fresh start is tried where that fails.
+    The last is negative where the row is one of the nominal channels. Each pair starts from where its last three points
+    lead, which leaves one or two iterations; a fresh start is tried where that fails. ``counts`` (4,) is added to.
     """
     transmitters, intervals = cubics.shape[0], cubics.shape[1]
     table = np.empty((4096, COLUMNS))
-    used, grazing = 0, 0
-    recent = np.zeros((transmitters, 6))
+    used = 0
+    recent = np.zeros((transmitters, 9))
     depth = np.zeros(transmitters, dtype=np.int64)
     for step in range(len(receiver)):
         if not wanted[step]:
@@ -194,53 +234,54 @@ def follow_all(
             dot = rx * tx + ry * ty + rz * tz
             if dot < least_cosine * r_length * np.sqrt(tx * tx + ty * ty + tz * tz):
                 depth[j] = 0
+                counts[COUNT_OCCULTED if occulted(rx, ry, rz, tx, ty, tz, height) else BEYOND_LIMIT] += 1
                 continue
-            point = _follow(recent[j], depth[j], rx, ry, rz, tx, ty, tz)
+            point = _follow(recent[j], depth[j], rx, ry, rz, tx, ty, tz, height)
             if not point[7]:
                 depth[j] = 0
-                grazing += not occulted(rx, ry, rz, tx, ty, tz)
+                counts[COUNT_OCCULTED if occulted(rx, ry, rz, tx, ty, tz, height) else UNCERTIFIED] += 1
                 continue
-            recent[j, 3], recent[j, 4], recent[j, 5] = recent[j, 0], recent[j, 1], recent[j, 2]
+            for k in range(6):
+                recent[j, 8 - k] = recent[j, 5 - k]
             recent[j, 0], recent[j, 1], recent[j, 2] = point[0], point[1], point[2]
-            depth[j] = min(depth[j] + 1, 2)
+            depth[j] = min(depth[j] + 1, 3)
             if point[3] > max_incidence:
+                counts[BEYOND_LIMIT] += 1
                 continue
-            dx, dy, dz = (point[0] - rx) / point[5], (point[1] - ry) / point[5], (point[2] - rz) / point[5]
-            a = axes[step]
-            gain = beam_gain_dbi(
-                a[0, 0] * dx + a[0, 1] * dy + a[0, 2] * dz,
-                a[1, 0] * dx + a[1, 1] * dy + a[1, 2] * dz,
-                a[2, 0] * dx + a[2, 1] * dy + a[2, 2] * dz,
-                beams,
-            )
+            rr = point[5]
             out = table[used]
             out[0], out[1], out[2], out[3], out[4] = step, j, point[0], point[1], point[2]
-            out[5], out[6], out[7], out[8], out[9] = point[3], point[4], gain, point[5], point[6]
+            out[5], out[6], out[8], out[9] = point[3], point[4], rr, point[6]
+            out[7] = gain_towards(axes[step], (point[0] - rx) / rr, (point[1] - ry) / rr, (point[2] - rz) / rr, gains)
             used += 1
-        _mark_nominal(table, first, used)
-    return table, used, grazing
+        counts[KEPT] += used - first
+        _mark_nominal(table, first, used, channels)
+    return table, used
 
 
 @njit(cache=True, nogil=True)
 def _follow(
-    recent: Array, depth: int, rx: float, ry: float, rz: float, tx: float, ty: float, tz: float
+    recent: Array, depth: int, rx: float, ry: float, rz: float, tx: float, ty: float, tz: float, height: float
 ) -> tuple[float, float, float, float, float, float, float, bool]:
-    x, y, z = 2.0 * recent[0] - recent[3], 2.0 * recent[1] - recent[4], 2.0 * recent[2] - recent[5]
-    if depth == 1:
+    if depth > 0:
         x, y, z = recent[0], recent[1], recent[2]
-    for attempt in range(2):
-        if depth == 0 or attempt == 1:
-            x, y, z = first_guess(rx, ry, rz, tx, ty, tz)
-        point = solve(x, y, z, rx, ry, rz, tx, ty, tz)
-        if point[7] or depth == 0:
-            break
-    return point
+        if depth == 2:
+            x, y, z = 2.0 * x - recent[3], 2.0 * y - recent[4], 2.0 * z - recent[5]
+        elif depth == 3:
+            x += 2.0 * x - 3.0 * recent[3] + recent[6]
+            y += 2.0 * y - 3.0 * recent[4] + recent[7]
+            z += 2.0 * z - 3.0 * recent[5] + recent[8]
+        point = solve(x, y, z, rx, ry, rz, tx, ty, tz, height, LAST_FOLLOWED_STEP_M)
+        if point[7]:
+            return point
+    x, y, z = first_guess(rx, ry, rz, tx, ty, tz)
+    return solve(x, y, z, rx, ry, rz, tx, ty, tz, height, LAST_STEP_M)
 
 
 @njit(cache=True, nogil=True)
-def _mark_nominal(table: Array, first: int, end: int) -> None:
-    """Negate the last column of the four rows of highest gain in [first, end); of equals the earlier transmitter."""
-    for _ in range(min(NOMINAL_CHANNELS, end - first)):
+def _mark_nominal(table: Array, first: int, end: int, channels: int) -> None:
+    """Negate the last column of the rows of highest gain in [first, end); of equals the earlier transmitter."""
+    for _ in range(min(channels, end - first)):
         best = -1
         for k in range(first, end):
             if table[k, 9] > 0.0 and (best < 0 or table[k, 7] > table[best, 7]):

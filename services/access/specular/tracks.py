@@ -1,17 +1,18 @@
-"""Specular tracks of one receiver: every point within the incidence limit, its gain, and the four nominal channels."""
+"""Specular tracks of one receiver: every point within the incidence limit, its gain, and the nominal channels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.access.ellipsoid import SEMI_MINOR_M
 from services.access.orbits.ephemeris import Ephemeris
-from services.access.specular.antenna import BeamPair, body_axes
+from services.access.specular.antenna import AntennaSystem, body_axes
 from services.access.specular.reflection import follow_all
+from services.access.specular.roll import Roll
 
 Array = NDArray[np.float64]
 
@@ -40,11 +41,26 @@ class Cap:
 
 
 @dataclass(frozen=True)
+class PairCounts:
+    """What became of the pairs of receiver and transmitter at the instants looked at; ``skipped`` were not.
+
+    ``kept`` within the incidence limit and certified, ``occulted`` by the Earth, ``beyond_limit`` of incidence,
+    ``uncertified``: in view and near the limb, where no point could be certified (grazing). They add up to all pairs.
+    """
+
+    kept: int
+    occulted: int
+    beyond_limit: int
+    uncertified: int
+    skipped: int
+
+
+@dataclass(frozen=True)
 class SpecularTrack:
     """Specular points of one receiver, ordered by time, then transmitter: all arrays of length n.
 
     ``time_index`` counts steps from the start, ``transmitter`` the given list. Earth-fixed metres. ``nominal``: among
-    the four of highest gain of that instant. ``grazing``: pairs and steps in view that could not be certified.
+    those of highest gain of that instant, as many as there are channels. ``in_beam``: gain above the antennas' floor.
     """
 
     satellite: str
@@ -57,10 +73,16 @@ class SpecularTrack:
     rx_range_m: Array
     tx_range_m: Array
     nominal: NDArray[np.bool_]
-    grazing: int
+    in_beam: NDArray[np.bool_]
+    counts: PairCounts
 
     def __len__(self) -> int:
         return len(self.time_index)
+
+    def where(self, rows: NDArray[np.bool_]) -> SpecularTrack:
+        """The track of these rows only; the counts stay."""
+        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)
 
 
 def specular_track(
@@ -68,14 +90,17 @@ def specular_track(
     transmitters: Sequence[Ephemeris],
     count: int,
     max_incidence_deg: float,
-    beams: BeamPair,
+    antennas: AntennaSystem,
     caps: Sequence[Cap] = (),
+    *,
+    roll: Roll | None = None,
+    surface_height_m: float = 0.0,
 ) -> SpecularTrack:
     """The specular points of a receiver with each transmitter, at the first ``count`` times of the receiver's grid.
 
     Transmitters may lie on a coarser grid (they are interpolated, see ``Ephemeris.states``) from the same start. With
     ``caps``, steps at which no point can fall into any of them are left out; at the others all points are given, so
-    that the choice of four channels by gain stays right.
+    that the choice of channels by gain stays right.
     """
     position, velocity = receiver.position_m[:count], receiver.velocity_m_s[:count]
     radius = np.linalg.norm(position, axis=1)
@@ -83,15 +108,19 @@ def specular_track(
     limit = np.radians(max_incidence_deg)
     near_arc = _arc_to_point(float(radius.max()), limit) + NORMAL_MARGIN_RAD
     wanted = _steps_near(position / radius[:, np.newaxis], caps, near_arc)
-    table, used, grazing = follow_all(
+    counts = np.zeros(4, dtype=np.int64)
+    table, used = follow_all(
         np.ascontiguousarray(position),
-        body_axes(position, velocity),
+        body_axes(position, velocity, None if roll is None else roll.at(receiver.times_s[:count])),
         np.stack([_cubics(t) for t in transmitters]),
         receiver.step_s / transmitters[0].step_s,
         wanted,
         np.cos(min(near_arc + _arc_to_point(farthest, limit), np.pi)),
         limit,
-        beams.parameters(),
+        surface_height_m,
+        antennas.table,
+        antennas.channels,
+        counts,
     )
     table = table[:used]
     return SpecularTrack(
@@ -101,12 +130,24 @@ def specular_track(
         table[:, 2:5].copy(),
         np.degrees(table[:, 5]),
         np.degrees(table[:, 6]),
-        table[:, 7],
-        table[:, 8],
+        table[:, 7].copy(),
+        table[:, 8].copy(),
         np.abs(table[:, 9]),
         table[:, 9] < 0.0,
-        int(grazing),
+        table[:, 7] > antennas.floor_dbi,
+        PairCounts(*map(int, counts), skipped=int((~wanted).sum()) * len(transmitters)),
     )
+
+
+def mark_nominal(
+    time_index: NDArray[np.int32], gain_dbi: Array, usable: NDArray[np.bool_], channels: int
+) -> NDArray[np.bool_]:
+    """Which of points (n,) in order of time are among the ``channels`` usable ones of highest gain of their instant."""
+    ranked = np.lexsort((-np.where(usable, gain_dbi, -np.inf), time_index))
+    starts = np.searchsorted(time_index, time_index, side="left")
+    rank = np.empty(len(ranked), dtype=np.int64)
+    rank[ranked] = np.arange(len(ranked)) - starts[ranked]
+    return np.asarray(usable & (rank < channels))
 
 
 def _arc_to_point(radius_m: float, incidence_rad: float) -> float:

@@ -16,7 +16,7 @@ from services.access.events.contacts import Station
 from services.access.orbits.formats import read_orbits
 from services.access.prediction import AccessOptions, Horizon, predict
 from services.access.processes import PROCESSES
-from services.access.products import opportunities_frame, specular_points_frame
+from services.access.tables import opportunities_frame, specular_points_frame
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables

@@ -136,3 +136,50 @@ def test_a_position_underground_is_refused_by_row() -> None:
         specular_points(good, np.array([[2e7, 1e6, 0.0], [6.3e6, 0.0, 0.0]]))
     with pytest.raises(DomainError, match="receiver of row 0"):
         specular_points(good * np.nan, good)
+
+
+@pytest.mark.parametrize("height_m", [-400.0, 2500.0, 8800.0])
+def test_points_at_a_height_are_certified_against_the_surface_there(height_m: float) -> None:
+    """On the surface parallel to the ellipsoid: its normal is the geodetic one, its height the same everywhere."""
+    receiver, transmitter = _pairs(4000, 6)
+    found = specular_points(receiver, transmitter, height_m)
+    ok = found.status == SOLVED
+    point, r, t = found.position_m[ok], receiver[ok], transmitter[ok]
+    latitude, longitude, height = to_geodetic(point)
+    normal = up_vector(latitude, longitude)
+    assert ok.sum() > 1500 and np.abs(height - height_m).max() < 1e-5
+    assert np.abs(_angle_deg(normal, t - point) - _angle_deg(normal, r - point)).max() < 1e-6
+    triple = np.einsum("ij,ij->i", normal, np.cross(r - point, t - point))
+    assert np.abs(triple / found.rx_range_m[ok] / found.tx_range_m[ok]).max() < 1e-9
+    for row in np.flatnonzero(ok)[:6]:
+        path = found.rx_range_m[row] + found.tx_range_m[row]
+        best = minimize(
+            lambda a, r=receiver[row], t=transmitter[row]: float(
+                np.linalg.norm(to_cartesian(a[0], a[1], height_m) - r)
+                + np.linalg.norm(to_cartesian(a[0], a[1], height_m) - t)
+            ),
+            np.clip([float(x) for x in to_geodetic(receiver[row])[:2]], [-85, -180], [85, 180]),
+            method="Nelder-Mead",
+            options={"xatol": 1e-9, "fatol": 1e-9, "maxiter": 4000},
+        )
+        assert path <= best.fun + 1e-6
+
+
+def test_a_higher_surface_moves_points_towards_the_receiver() -> None:
+    receiver, transmitter = _pairs(2000, 8, 500e3, 530e3)
+    low, high = specular_points(receiver, transmitter), specular_points(receiver, transmitter, 3000.0)
+    both = (low.status == SOLVED) & (high.status == SOLVED) & (low.incidence_deg < 60)
+    nearer = low.rx_range_m[both] - high.rx_range_m[both]
+    slant = 3000.0 / np.cos(np.radians(low.incidence_deg[both]))
+    assert (nearer > 0.5 * slant).all() and (nearer < 1.1 * slant).all()
+
+
+def test_a_start_from_nearby_leads_to_the_same_point() -> None:
+    receiver, transmitter = _pairs(3000, 9)
+    found = specular_points(receiver, transmitter)
+    ok = found.status == SOLVED
+    start = found.position_m[ok] + np.random.default_rng(1).normal(scale=20e3, size=(int(ok.sum()), 3))
+    again = specular_points(receiver[ok], transmitter[ok], 0.0, start)
+    both = again.status == SOLVED
+    assert both.mean() > 0.99
+    assert np.abs(again.position_m[both] - found.position_m[ok][both])[found.incidence_deg[ok][both] < 80].max() < 1e-5

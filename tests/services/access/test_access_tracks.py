@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from services.access.ellipsoid import to_cartesian
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
 from services.access.orbits.formats import read_orbits
 from services.access.orbits.preparation import name_transmitters
-from services.access.specular.antenna import CYGNSS_BEAMS, BeamPair, body_axes
+from services.access.specular.antenna import body_axes, shipped_antennas
 from services.access.specular.points import specular_points
-from services.access.specular.reflection import SOLVED, beam_gain_dbi
+from services.access.specular.reflection import OCCULTED, SOLVED
+from services.access.specular.roll import Roll, read_rolls
 from services.access.specular.tracks import Cap, SpecularTrack, specular_track
+from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
 
 COUNT = 5400
+CYGNSS = shipped_antennas()
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +33,7 @@ def orbits() -> tuple[Ephemeris, list[Ephemeris]]:
 
 @pytest.fixture(scope="module")
 def track(orbits: tuple[Ephemeris, list[Ephemeris]]) -> SpecularTrack:
-    return specular_track(*orbits, COUNT, 65.0, CYGNSS_BEAMS)
+    return specular_track(*orbits, COUNT, 65.0, CYGNSS)
 
 
 def test_following_a_pair_gives_the_points_of_solving_it_alone(
@@ -63,7 +67,7 @@ def test_skipping_what_is_far_from_the_targets_loses_nothing_near_them(
 ) -> None:
     centre = track.position_m[len(track) // 2]
     cap = Cap.around(centre[np.newaxis], margin_m=300e3)
-    part = specular_track(*orbits, COUNT, 65.0, CYGNSS_BEAMS, [cap])
+    part = specular_track(*orbits, COUNT, 65.0, CYGNSS, [cap])
 
     def near(some: SpecularTrack) -> np.ndarray:
         rows = np.linalg.norm(some.position_m - centre, axis=1) < 300e3
@@ -74,7 +78,7 @@ def test_skipping_what_is_far_from_the_targets_loses_nothing_near_them(
 
 
 def test_a_coarse_step_finds_the_same_points(orbits: tuple[Ephemeris, list[Ephemeris]], track: SpecularTrack) -> None:
-    coarse = specular_track(resample(orbits[0], 60.0, COUNT // 60), orbits[1], COUNT // 60, 65.0, CYGNSS_BEAMS)
+    coarse = specular_track(resample(orbits[0], 60.0, COUNT // 60), orbits[1], COUNT // 60, 65.0, CYGNSS)
     same = track.time_index % 60 == 0
     assert np.array_equal(coarse.time_index * 60, track.time_index[same])
     assert np.abs(coarse.position_m - track.position_m[same]).max() < 1e-5
@@ -99,32 +103,78 @@ def test_body_axes_are_right_handed_and_look_down_and_forward(orbits: tuple[Ephe
     assert (np.einsum("ij,ij->i", axes[:, 0], receiver.velocity_m_s) > 0.99 * speed).all()
 
 
-def test_beams_mirror_each_other_and_peak_where_they_point() -> None:
-    parameters = BeamPair(floor_dbi=-30.0).parameters()
-    lobe = parameters[2]
+def test_every_pair_and_instant_is_accounted_for(
+    orbits: tuple[Ephemeris, list[Ephemeris]], track: SpecularTrack
+) -> None:
+    receiver, transmitters = orbits
+    status = np.concatenate(
+        [specular_points(receiver.position_m, t.states(receiver.times_s)[0]).status for t in transmitters]
+    )
+    counts = track.counts
+    assert counts.kept == len(track) and counts.skipped == 0 and counts.uncertified == 0
+    assert counts.occulted == (status == OCCULTED).sum() > 1000
+    assert counts.kept + counts.occulted + counts.beyond_limit == COUNT * len(transmitters)
+    part = specular_track(*orbits, COUNT, 65.0, CYGNSS, [Cap.around(track.position_m[:1], margin_m=300e3)]).counts
+    total = part.kept + part.occulted + part.beyond_limit + part.uncertified + part.skipped
+    assert part.skipped > 0 and total == COUNT * len(transmitters)
 
-    def gain(across_rad: float, along_rad: float = 0.0) -> float:
-        down = np.cos(across_rad) * np.cos(along_rad)
-        return float(beam_gain_dbi(np.sin(along_rad), np.sin(across_rad) * np.cos(along_rad), down, parameters))
 
-    assert gain(lobe) == pytest.approx(CYGNSS_BEAMS.peak_dbi)
-    assert gain(-lobe) == pytest.approx(gain(lobe))
-    for off in (-0.5, 0.5):
-        assert gain(lobe + off * parameters[3]) == pytest.approx(CYGNSS_BEAMS.peak_dbi - 3.0)
-    assert gain(0.3, 0.2) == pytest.approx(gain(0.3, -0.2))
-    assert gain(0.3, 0.2) < gain(0.3)
+def test_a_roll_moves_the_beams_and_not_the_points(
+    orbits: tuple[Ephemeris, list[Ephemeris]], track: SpecularTrack
+) -> None:
+    """Each point's gain under a roll of +20 degrees is that of the antennas mounted 20 degrees further to port."""
+    rolled = specular_track(*orbits, COUNT, 65.0, CYGNSS, roll=Roll(np.array([0.0, 60.0]), np.array([20.0, 20.0])))
+    assert np.array_equal(rolled.position_m, track.position_m)
+    tilted = replace(CYGNSS, antennas=tuple(replace(a, tilt_deg=a.tilt_deg - 20.0) for a in CYGNSS.antennas))
+    mounted = specular_track(*orbits, COUNT, 65.0, tilted)
+    assert np.abs(mounted.rx_gain_dbi - rolled.rx_gain_dbi).max() < 0.1  # the two tables interpolate apart
+    assert np.abs(track.rx_gain_dbi - rolled.rx_gain_dbi).max() > 10.0
+    ramp = specular_track(*orbits, COUNT, 65.0, CYGNSS, roll=Roll(np.array([0.0, COUNT]), np.array([0.0, 20.0])))
+    early, late = track.time_index < 30, track.time_index > COUNT - 30
+    assert np.abs(ramp.rx_gain_dbi[early] - track.rx_gain_dbi[early]).max() < 0.5
+    assert np.abs(ramp.rx_gain_dbi[late] - rolled.rx_gain_dbi[late]).max() < 0.5
 
 
-def test_the_modelled_beam_follows_the_cygnss_map(real_data: Path) -> None:
-    table = np.loadtxt(real_data / "gnssr/antenna/ddmi_starboard_gain.agm", delimiter=",")
-    off_nadir, azimuth = np.radians(np.arange(18) * 5 + 2.5), np.radians(np.arange(24) * 15 + 7.5)
-    differences = [
-        beam_gain_dbi(np.sin(e) * np.cos(a), abs(np.sin(e) * np.sin(a)), np.cos(e), CYGNSS_BEAMS.parameters())
-        - table[i, j]
-        for i, e in enumerate(off_nadir)
-        for j, a in enumerate(azimuth)
-        if table[i, j] >= 10 and a > np.pi
-    ]
-    assert len(differences) > 40
-    assert np.sqrt(np.mean(np.square(differences))) < 0.6
-    assert np.abs(differences).max() < 1.5
+def test_body_axes_roll_starboard_down(orbits: tuple[Ephemeris, list[Ephemeris]]) -> None:
+    receiver = orbits[0]
+    level = body_axes(receiver.position_m[:5], receiver.velocity_m_s[:5])
+    rolled = body_axes(receiver.position_m[:5], receiver.velocity_m_s[:5], np.full(5, 30.0))
+    assert np.allclose(rolled[:, 0], level[:, 0])
+    assert np.allclose(np.einsum("ni,ni->n", rolled[:, 1], level[:, 2]), 0.5)
+    assert np.allclose(np.cross(rolled[:, 0], rolled[:, 1]), rolled[:, 2])
+
+
+def test_in_beam_is_a_gain_over_the_floor(track: SpecularTrack) -> None:
+    assert np.array_equal(track.in_beam, track.rx_gain_dbi > CYGNSS.floor_dbi)
+    assert 0.3 < track.in_beam.mean() < 0.9
+
+
+def test_rolls_are_read_by_row_and_held_beyond_their_ends() -> None:
+    table = pd.DataFrame(
+        {
+            "satellite": ["CYGFM04"] * 3,
+            "time": pd.to_datetime(["2022-12-04T00:01:00Z", "2022-12-04T00:00:00Z", "2022-12-04T00:02:00Z"]),
+            "roll_deg": [10.0, 0.0, -10.0],
+        }
+    )
+    roll = read_rolls(table, {"CYGFM04", "CYGFM05"}, START)["CYGFM04"]
+    assert roll.at(np.array([-50.0, 30.0, 60.0, 90.0, 500.0])).tolist() == [0.0, 5.0, 10.0, 0.0, -10.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"satellite": ["CYGFM04", "CYGFM99"]}, "row 1: CYGFM99 is not among"),
+        ({"roll_deg": [0.0, 91.0]}, "row 1: time"),
+        ({"roll_deg": [np.nan, 1.0]}, "row 0: time"),
+        ({"time": ["2022-12-04", "2022-12-04"]}, "row 1: a second angle"),
+        ({"time": ["yesterday", "never"]}, "cannot be read"),
+    ],
+)
+def test_bad_rolls_are_named_by_row(change: dict[str, list[object]], what: str) -> None:
+    rows = {"satellite": ["CYGFM04", "CYGFM04"], "time": ["2022-12-04", "2022-12-05"], "roll_deg": [0.0, 1.0]}
+    with pytest.raises(DomainError, match=what) as caught:
+        read_rolls(pd.DataFrame({**rows, **change}), {"CYGFM04"}, START)
+    assert caught.value.field == "satellite_roll"
+    with pytest.raises(DomainError, match="lacks the column roll_deg"):
+        read_rolls(pd.DataFrame(rows).drop(columns="roll_deg"), {"CYGFM04"}, START)
