@@ -75,7 +75,9 @@ def build_problem(
         for begin, end in limits.unavailable:
             last = horizon_s if math.isinf(end) else max(0, math.ceil(end))
             commandable[row, max(0, math.floor(begin)) : last] = False
-    images, seen, pointings = _images(changed["opportunities"], index, goals, horizon_start, horizon_s)
+    images, seen, pointings = _images(
+        changed["opportunities"], index, goals, horizon_start, horizon_s, {x.pointing_initial for x in satellites}
+    )
     if len(pointings) > 1:
         for limits in satellites:
             check_slews(limits.slew, pointings)
@@ -189,8 +191,9 @@ def _uplinks(
 
 
 def _images(
-    table: pd.DataFrame, index: dict[str, int], targets: Targets, origin: pd.Timestamp, horizon_s: int
-) -> tuple[Images, IntArray, tuple[str, ...]]:
+    table: pd.DataFrame, index: dict[str, int], targets: Targets, origin: pd.Timestamp, horizon_s: int,
+    held: set[str | None],
+) -> tuple[Images, IntArray, tuple[str, ...]]:  # fmt: skip
     """Images inside the horizon with their targets, the number of opportunities of every target, and all pointings."""
     order = np.argsort(targets.target_id, kind="stable")
     ids = table["target_id"].to_numpy(np.int64)
@@ -209,7 +212,7 @@ def _images(
             "an image does not start on a whole second from horizon_start", field="opportunities.time",
             value=str(table["time"].iloc[first]), accepted="whole seconds from horizon_start",
         )  # fmt: skip
-    pointings, pointing = _pointings(table)
+    pointings, pointing = _pointings(table, held)
     rows = pd.DataFrame({
         "image": table["image_id"].to_numpy(np.int64),
         "satellite": table["satellite"].astype(str).map(index).to_numpy(np.int64),
@@ -228,8 +231,8 @@ def _images(
     return _pack(rows), seen, pointings
 
 
-def _pointings(table: pd.DataFrame) -> tuple[tuple[str, ...], IntArray]:
-    """The pointings of the opportunities in order of name, and that of every row (none given: one and the same)."""
+def _pointings(table: pd.DataFrame, held: set[str | None]) -> tuple[tuple[str, ...], IntArray]:
+    """All pointings in order of name, those ``held`` at the start too, and that of every row (none: all alike)."""
     if "pointing" not in table or table["pointing"].isna().all():
         return (), np.zeros(len(table), np.int64)
     if table["pointing"].isna().any():
@@ -238,8 +241,9 @@ def _pointings(table: pd.DataFrame) -> tuple[tuple[str, ...], IntArray]:
             f"row {row} of the opportunities has no pointing while others do", field="opportunities.pointing",
             accepted="a pointing in every row, or in none",
         )  # fmt: skip
-    names, place = np.unique(table["pointing"].astype(str).to_numpy(), return_inverse=True)
-    return tuple(str(name) for name in names), place.reshape(-1).astype(np.int64)
+    rows = table["pointing"].astype(str)
+    names = tuple(sorted({*rows.unique(), *(name for name in held if name is not None)}))
+    return names, rows.map({name: place for place, name in enumerate(names)}).to_numpy(np.int64)
 
 
 def _pack(rows: pd.DataFrame) -> Images:

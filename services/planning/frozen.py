@@ -53,7 +53,7 @@ def _execute(
     available = _available(problem)
     downlink = np.full_like(wanted, -1)
     at = _images_by_place(problem)
-    kept: list[tuple[int, int, int, int]] = []
+    kept: list[tuple[int, int, int, int, int]] = []
     for s, limits in enumerate(problem.satellites):
         stored, progress, battery = limits.stored_images_initial, 0, limits.battery_initial_wh
         last = np.flatnonzero((wanted[s] >= 0) | (collect[s] >= 0)).max(initial=-1)
@@ -63,7 +63,7 @@ def _execute(
             if image >= 0:
                 ok = available[s, t] and stored < limits.storage_images
                 if ok and _powered(battery, base - limits.collect_w, limits):
-                    kept.append((s, t, at.get((s, t, int(held[s, t])), -1), image))
+                    kept.append((s, t, at.get((s, t, int(held[s, t])), -1), image, int(held[s, t])))
                     stored += 1
                     base -= limits.collect_w
                 else:
@@ -109,11 +109,11 @@ def _powered(battery: float, net_w: float, limits: SatelliteLimits) -> bool:
 
 
 def _frozen(
-    problem: PlanningProblem, kept: list[tuple[int, int, int, int]], downlink: np.ndarray, dropped: int
+    problem: PlanningProblem, kept: list[tuple[int, int, int, int, int]], downlink: np.ndarray, dropped: int
 ) -> Frozen:
     """Give frozen collects ids that cannot be taken for another image of the new opportunities."""
-    table = np.array(kept, np.int64).reshape(-1, 4)
-    satellite, second, image, old_id = table.T
+    table = np.array(kept, np.int64).reshape(-1, 5)
+    satellite, second, image, old_id, held = table.T
     known = set(problem.images.image_id.tolist())
     spare = int(max(known, default=-1)) + 1
     ids = []
@@ -126,4 +126,5 @@ def _frozen(
             spare += 1
         else:
             ids.append(old)
-    return Frozen(satellite, second, image, np.array(ids, np.int64), downlink, dropped)
+    pointing = held if problem.pointings else None
+    return Frozen(satellite, second, image, np.array(ids, np.int64), downlink, dropped, pointing)

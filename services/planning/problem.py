@@ -106,7 +106,8 @@ class Frozen:
 
     ``image`` is the index into `Images` of a frozen collect, or -1 where the new opportunities do not know it.
     ``downlink`` is (satellites, seconds) with the station index or -1. ``dropped`` counts previous command seconds
-    that the spacecraft could not execute (empty or full storage, lost contact, low battery).
+    that the spacecraft could not execute (empty or full storage, lost contact, low battery). ``pointing`` is that of
+    every collect (index into `PlanningProblem.pointings`, -1: unknown; None: agility is off).
     """
 
     satellite: IntArray
@@ -115,6 +116,7 @@ class Frozen:
     image_id: IntArray
     downlink: NDArray[np.int16]
     dropped: int = 0
+    pointing: IntArray | None = None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from services.planning.problem import PlanningProblem
 COLUMNS = ("satellite", "start", "end", "command", "image_id", "station", "cycle", "uplink_contact")
 
 
-Record = tuple[int, int, int, str, int | None, str | None, bool]  # the last: still the previous plan's
+Record = tuple[int, int, int, str, int | None, str | None, bool, int]
+"""Satellite, begin, end, command, image id, station, whether it is still the previous plan's, pointing (-1: none)."""
 
 
 def schedule_table(problem: PlanningProblem, timeline: Timeline, previous: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -24,12 +25,17 @@ def schedule_table(problem: PlanningProblem, timeline: Timeline, previous: pd.Da
     """
     records: list[Record] = []
     own = problem.images
+    held = own.pointing_of()
     for image in timeline.images[~np.isin(timeline.images, problem.frozen_images)]:
         second, image_id = int(own.second[image]), int(own.image_id[image])
-        records.append((int(own.satellite[image]), second, second + 1, "collect", image_id, None, False))
+        place = int(held[image])
+        records.append((int(own.satellite[image]), second, second + 1, "collect", image_id, None, False, place))
     frozen = problem.frozen
-    for satellite, second, image_id in zip(frozen.satellite, frozen.second, frozen.image_id, strict=True):
-        records.append((int(satellite), int(second), int(second) + 1, "collect", int(image_id), None, True))
+    kept = np.full(len(frozen.second), -1, np.int64) if frozen.pointing is None else frozen.pointing
+    columns = (frozen.satellite, frozen.second, frozen.image_id, kept)
+    for satellite, second, image_id, place in zip(*columns, strict=True):
+        begin = int(second)
+        records.append((int(satellite), begin, begin + 1, "collect", int(image_id), None, True, int(place)))
     for satellite in range(len(problem.satellites)):
         # a run ends where the station changes or where the previous plan's command meets the new one
         key = 2 * timeline.downlink[satellite].astype(np.int64) + (frozen.downlink[satellite] >= 0)
@@ -38,7 +44,7 @@ def schedule_table(problem: PlanningProblem, timeline: Timeline, previous: pd.Da
             station = int(timeline.downlink[satellite, begin])
             if station >= 0:
                 old = bool(frozen.downlink[satellite, begin] >= 0)
-                records.append((satellite, int(begin), int(end), "downlink", None, problem.stations[station], old))
+                records.append((satellite, int(begin), int(end), "downlink", None, problem.stations[station], old, -1))
     records.sort(key=lambda record: (record[0], record[1]))
     table = _table(problem, records)
     old = np.array([record[6] for record in records], bool)
@@ -62,7 +68,7 @@ def _table(problem: PlanningProblem, records: list[Record]) -> pd.DataFrame:
     cycle = np.zeros(len(records), np.int32)
     for s in range(len(problem.satellites)):
         cycle[satellite == s] = np.searchsorted(cycle_ends(problem, s), begin[satellite == s], side="right")
-    return pd.DataFrame({
+    table = pd.DataFrame({
         "satellite": [problem.satellites[s].name for s in satellite],
         "start": problem.horizon_start + pd.to_timedelta(begin, unit="s"),
         "end": problem.horizon_start + pd.to_timedelta(end, unit="s"),
@@ -72,3 +78,7 @@ def _table(problem: PlanningProblem, records: list[Record]) -> pd.DataFrame:
         "cycle": cycle,
         "uplink_contact": pd.Series([problem.uplink_contact[s] for s in satellite], dtype="datetime64[ms, UTC]"),
     }, columns=list(COLUMNS))  # fmt: skip
+    if problem.pointings:
+        names = [problem.pointings[record[7]] if record[7] >= 0 else None for record in records]
+        table["pointing"] = pd.array(names, "string")
+    return table

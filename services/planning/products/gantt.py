@@ -1,18 +1,17 @@
-"""Products for people: Gantt chart of the constellation and the planned targets as GeoJSON."""
+"""The constellation's commands over time, a band per satellite."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-import pandas as pd
 
-from services.planning.data_cycles import cycle_ends
 from services.planning.downlinks import Timeline
 from services.planning.problem import PlanningProblem
+from shared import figures
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -28,10 +27,12 @@ def _runs(mask: np.ndarray) -> list[tuple[float, float]]:
     return [(begin / 3600, (end - begin) / 3600) for begin, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def write_gantt(path: Path, problem: PlanningProblem, timeline: Timeline, title: str, footer: str) -> None:
+def write_gantt(
+    path: Path, problem: PlanningProblem, timeline: Timeline, title: str, attributes: Mapping[str, Any]
+) -> None:
     """One band per satellite: contacts, umbra, images and downlinks over hours from the horizon's start (UTC)."""
     count = len(problem.satellites)
-    figure, axes = plt.subplots(figsize=(14, 1.6 + 0.62 * max(1, count)))
+    figure, axes = plt.subplots(figsize=(14, 1.9 + 0.62 * max(1, count)))
     for s in range(count):
         _band(axes, problem, timeline, s)
     axes.set_yticks(range(count), [limits.name for limits in problem.satellites])
@@ -48,10 +49,12 @@ def write_gantt(path: Path, problem: PlanningProblem, timeline: Timeline, title:
         colour = STATION_COLOURS[station % len(STATION_COLOURS)]
         handles.append(Patch(color=colour, label=f"downlink {name}"))
     axes.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.9 / (1.6 + 0.62 * count)), ncol=7, frameon=False
+        handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.25 / (1.9 + 0.62 * max(1, count))), ncol=9,
+        frameon=False, bbox_transform=figure.transFigure, fontsize=9,
     )
-    figure.text(0.01, 0.01, footer, fontsize=7, color="#555555")
-    figure.savefig(path, dpi=110, bbox_inches="tight", metadata={"Software": None})
+    height = 1.9 + 0.62 * max(1, count)
+    figure.subplots_adjust(left=0.08, right=0.985, top=1 - 0.45 / height, bottom=1.15 / height)
+    figures.save(figure, path, attributes)
     plt.close(figure)
 
 
@@ -65,36 +68,3 @@ def _band(axes: Any, problem: PlanningProblem, timeline: Timeline, s: int) -> No
     own = timeline.images[problem.images.satellite[timeline.images] == s]
     seconds = np.concatenate([problem.images.second[own], problem.frozen.second[problem.frozen.satellite == s]])
     axes.vlines(np.unique(seconds) / 3600, s + 0.02, s + 0.34, color=COLLECT, linewidth=0.4)
-
-
-def write_footprints(
-    path: Path, problem: PlanningProblem, timeline: Timeline, targets: pd.DataFrame, attributes: dict[str, Any]
-) -> None:
-    """Every planned target as a point with the first image that collects it (RFC 7946, lon/lat degrees)."""
-    images = timeline.images[np.argsort(problem.images.second[timeline.images], kind="stable")]
-    first: dict[int, int] = {}
-    for image in images:
-        for target in problem.images.covered(int(image)):
-            first.setdefault(int(target), int(image))
-    longitude, latitude = targets.geometry.x.to_numpy(), targets.geometry.y.to_numpy()
-    features = []
-    for target in sorted(first):
-        image = first[target]
-        satellite, second = int(problem.images.satellite[image]), int(problem.images.second[image])
-        cycle = int(np.searchsorted(cycle_ends(problem, satellite), second, side="right"))
-        moment = problem.horizon_start + pd.Timedelta(seconds=second)
-        features.append({
-            "type": "Feature",
-            "geometry": {
-                "type": "Point", "coordinates": [round(float(longitude[target]), 5), round(float(latitude[target]), 5)]
-            },
-            "properties": {
-                "target_id": int(problem.targets.target_id[target]),
-                "kind": "active" if problem.targets.active[target] else "prefire",
-                "reward": float(problem.targets.value[target]), "satellite": problem.satellites[satellite].name,
-                "image_id": int(problem.images.image_id[image]), "cycle": cycle,
-                "time": moment.strftime("%Y-%m-%dT%H:%M:%SZ"),
-            },
-        })  # fmt: skip
-    collection = {"type": "FeatureCollection", "features": features, "product": attributes}
-    path.write_text(json.dumps(collection, sort_keys=True, default=str) + "\n", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Plans to compare with: greedy by reward, and today's manual practice."""

@@ -1,0 +1,1 @@
+"""What leaves the planner: command files, tables, charts, maps and the report."""

@@ -1,0 +1,1 @@
+"""Plans made of recordings: minimum lengths, mode switches, command budgets and pointings."""
