@@ -82,8 +82,8 @@ def _settings(inputs: InferFireArrivalInputs) -> Any:
 
 
 def _publish(case: FireCase, arrival: ArrivalMap, context: JobContext, method: str) -> tuple[ArtifactRef, ArtifactRef]:
-    from services.arrival.maps import draw_map
-    from services.arrival.product import to_dataset
+    from services.arrival.exports.product import to_dataset
+    from services.arrival.figures.arrival_map import draw_map
     from shared.contracts.grids import FIRE_ARRIVAL, write_netcdf
 
     stem = re.sub(r"[^A-Za-z0-9._-]", "_", case.incident_id)
@@ -112,8 +112,8 @@ def infer_fire_arrival(inputs: InferFireArrivalInputs, context: JobContext) -> I
     import json
 
     from services.arrival.assignment import assign
+    from services.arrival.exports.isochrones import isochrone_features
     from services.arrival.fires import build_case, case_report, map_case
-    from services.arrival.isochrones import isochrone_features
 
     detections, burned_area, incidents, end, counts = _tables(inputs, context)
     assignment = assign(detections, incidents)
@@ -153,8 +153,8 @@ def infer_fire_arrival(inputs: InferFireArrivalInputs, context: JobContext) -> I
 # Imported by a worker before its first job; the HTTP side stays light.
 WARM_MODULES = (
     "services.arrival.fires",
-    "services.arrival.isochrones",
-    "services.arrival.maps",
+    "services.arrival.exports.isochrones",
+    "services.arrival.figures.arrival_map",
     "shared.contracts.tables",
 )
 

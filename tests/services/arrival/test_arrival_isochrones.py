@@ -6,7 +6,7 @@ import pandas as pd
 from services.arrival.extent import gather
 from services.arrival.grid import FireGrid
 from services.arrival.inference import ArrivalMap
-from services.arrival.isochrones import isochrone_features, levels, split_at_antimeridian, step_hours
+from services.arrival.exports.isochrones import isochrone_features, levels, split_at_antimeridian, step_hours
 from services.arrival.looks import FIRE, Looks
 
 REFERENCE = pd.Timestamp("2022-06-01T05:00Z")

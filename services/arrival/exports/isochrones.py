@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from services.arrival.exports.product import iso
 from services.arrival.inference import ArrivalMap
-from services.arrival.product import iso
 
 Floats = NDArray[np.float64]
 MAX_LEVELS = 24
