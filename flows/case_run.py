@@ -15,9 +15,12 @@ from flows.cases.bundle import Case
 from flows.catalogue import write_catalogue
 from flows.comparison import compare_cycles, local_file, read_reference
 from flows.cycle import PrefectRunner, close_stale_runs, run_as_flow
-from flows.loop import KNOWN_INPUTS, CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label, run_cycle
+from flows.desk.approval import AwaitingApproval, Desk, NobodyDecides
+from flows.loop import run_cycle
+from flows.loop_types import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
 from flows.profiles import Profile
 from flows.runner import DirectRunner, Display
+from flows.stages import KNOWN_INPUTS
 from flows.steps import ASSEMBLE_INPUTS, SCORE, SCORE_PERIMETER, SITUATION
 from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables
@@ -35,6 +38,7 @@ class CaseResult:
     perimeters: list[Mapping[str, Any]]
     shown: list[Path]
     stale_runs: int
+    awaiting: AwaitingApproval | None = None
 
 
 @dataclass
@@ -46,6 +50,7 @@ class _CaseRun:
     urls: Mapping[str, str]
     display: Display
     profile: Profile
+    desk: Desk
     made: list[dict[str, Any]]
 
     def runner(self, part: str) -> DirectRunner:
@@ -69,10 +74,14 @@ def run_case(
     cycles: int,
     *,
     again_plain: bool,
+    desk: Desk,
 ) -> CaseResult:
-    """Import, calibrate, run the cycles in order, compare with no feedback, score, write the catalogue."""
+    """Import, calibrate, run the cycles in order, compare with no feedback, score, write the catalogue.
+
+    The cycles end before one whose plan the ``desk`` has not approved; the result says which.
+    """
     stale = close_stale_runs()
-    run = _CaseRun(case, store, urls, display, profile, [])
+    run = _CaseRun(case, store, urls, display, profile, desk, [])
     settings = profile.settings
     inputs = run.as_flow(BUNDLE, lambda runner: import_into_store(runner, case))
     inputs = run.as_flow(
@@ -81,14 +90,23 @@ def run_case(
     )
     done: list[CycleProducts] = []
     before = Handover()
+    awaiting: AwaitingApproval | None = None
     for number in range(1, cycles + 1):
         last = _cycle(run, inputs, number, before, feedback, cycle_label(_cutoff(case, number, settings)))
+        if isinstance(last, AwaitingApproval):
+            awaiting = last
+            break
         done.append(last)
         if number < cycles:
             before = last.handover
+    if not done:
+        return CaseResult([], {}, [], [], stale, awaiting)
+    again_plain = again_plain and awaiting is None
     changes: Mapping[str, Any] = {}
     if again_plain and cycles > 1:
-        plain = _cycle(run, inputs, cycles, before, frozenset(), f"{done[-1].label}-{PLAIN}")
+        without = replace(run, desk=NobodyDecides())
+        plain = _cycle(without, inputs, cycles, before, frozenset(), f"{done[-1].label}-{PLAIN}")
+        assert isinstance(plain, CycleProducts)
         changes = compare_cycles(done[-1].steps, plain.steps)
     perimeters = _perimeter_scores(run, inputs) if "perimeters" in inputs.inputs else []
     times = _times(case, done)
@@ -96,7 +114,7 @@ def run_case(
     shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
     last_maps = [perimeters[-1]["map"]] if perimeters else done[-1].steps["infer-fire-arrival"]["maps"]
     shown += [local_file(reference) for reference in last_maps]
-    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale)
+    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, awaiting)
 
 
 def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
@@ -105,15 +123,18 @@ def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
 
 def _cycle(
     run: _CaseRun, inputs: CaseInputs, number: int, before: Handover, feedback: frozenset[str], part: str
-) -> CycleProducts:
+) -> CycleProducts | AwaitingApproval:
     settings = run.profile.settings
     cutoff = _cutoff(run.case, number, settings)
 
-    def whole(runner: PrefectRunner) -> CycleProducts:
-        products = run_cycle(runner, inputs, cutoff, before, feedback, settings)
+    def whole(runner: PrefectRunner) -> CycleProducts | AwaitingApproval:
+        try:
+            products = run_cycle(runner, inputs, cutoff, before, feedback, settings, run.desk)
+        except AwaitingApproval as draft:  # no failure: the run ends, and another goes on after the approval
+            return draft
         return replace(products, steps={**products.steps, **_publish(runner, run.case, inputs, products)})
 
-    finished: CycleProducts = run.as_flow(part, whole)
+    finished: CycleProducts | AwaitingApproval = run.as_flow(part, whole)
     return finished
 
 
@@ -131,7 +152,7 @@ def _publish(
         "region": list(case.region),
         "cutoff": cycle.cutoff.isoformat(),
         "end": cycle.end.isoformat(),
-        "targets": steps["build-targets"]["targets"],
+        "targets": steps["apply-decisions"]["targets"],
         "schedule": steps["plan-observations"]["schedule"],
         "opportunities": steps["predict-access"]["opportunities"],
         "as_run": steps["execute"]["as_run"],

@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import timedelta
 
 from flows.cases.bundle import CASE_FILE, Case
-from flows.loop import CaseInputs
+from flows.loop_types import CaseInputs
 from flows.runner import Runner
 from flows.steps import IMPORT_CASE, SURVEY_TARGET
 

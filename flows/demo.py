@@ -17,8 +17,9 @@ from pathlib import Path
 from rich.console import Console
 
 from flows.cases.bundle import Case, read_case
+from flows.desk.approval import PeopleDecide
 from flows.display import ConsoleDisplay, comparison_table, cycle_table, perimeter_table
-from flows.loop import FEEDBACKS
+from flows.loop_types import FEEDBACKS
 from flows.prefect_server import running_prefect_server
 from flows.profiles import profile_of
 from flows.runner import flow_code_version, open_store
@@ -40,6 +41,7 @@ class RunOptions:
     without: tuple[str, ...]
     plain: bool
     services: str
+    approve: bool = True
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -109,9 +111,17 @@ def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str
     feedback = frozenset(FEEDBACKS) - frozenset(options.without)
     chosen = profile_of(options.case, options.cycle_hours)
     cycles = options.cycles or case.cycles
-    result = run_case(case, store, options.root, urls, display, chosen, feedback, cycles, again_plain=not options.plain)
+    desk = PeopleDecide.of_case(options.root, case.name, automatic=options.approve)
+    again_plain = not options.plain
+    result = run_case(
+        case, store, options.root, urls, display, chosen, feedback, cycles, again_plain=again_plain, desk=desk
+    )
     if result.stale_runs:
         console.print(f"Closed {result.stale_runs} flow run(s) that an earlier, killed run had left open.")
+    if result.awaiting:
+        console.print(f"{result.awaiting} Look at it, decide ('smokeglint approve --help'), and run this again.")
+    if not result.cycles:
+        return
     console.print()
     console.print(cycle_table(result.cycles, case.title))
     if result.changes:

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from flows.loop import CycleProducts
+from flows.loop_types import CycleProducts
 from flows.runner import StepEvent
 
 

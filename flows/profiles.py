@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from flows.loop import LoopSettings
+from flows.loop_types import LoopSettings
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from flows.desk.standing import case_folder
 from shared.artifacts.manifest import MANIFEST
 from shared.errors import DomainError
 
@@ -14,6 +15,7 @@ CYCLE_STEPS = (
     "rate-active-fires",
     "rate-prefire-danger",
     "build-targets",
+    "apply-decisions",
     "predict-access",
     "set-horizon",
     "plan-observations",
@@ -44,16 +46,16 @@ def forget_from(root: Path, case: str, step: str, cycle: int = 0) -> int:
     """
     if step not in CYCLE_STEPS:
         raise DomainError(f"A cycle has no step '{step}'.", field="from-step", accepted=", ".join(CYCLE_STEPS))
-    named = [path.name for path in root.iterdir() if path.name == case or path.name.endswith(f"-{case}")]
-    labels = finished_cycles(root, named[0]) if named else []
+    folder = case_folder(root, case)
+    labels = finished_cycles(root, folder)
     if not labels or cycle > len(labels):
         found = ", ".join(labels) or "none"
         raise DomainError(
             f"Case '{case}' has no finished cycle {cycle or ''} under {root}.", field="cycle", value=found
         )
     later = CYCLE_STEPS[CYCLE_STEPS.index(step) :]
-    folder = root / named[0] / labels[(cycle or len(labels)) - 1]
-    manifests = [path for name in later for path in folder.glob(f"{name}/*/{MANIFEST}")]
+    chosen = root / folder / labels[(cycle or len(labels)) - 1]
+    manifests = [path for name in later for path in chosen.glob(f"{name}/*/{MANIFEST}")]
     for path in manifests:
         path.unlink()
     return len(manifests)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
-from flows.commands import cases, keys, products, running
+from flows.commands import cases, deciding, keys, products, running
 from shared.errors import SmokeglintError
 
 app = typer.Typer(
@@ -21,6 +21,10 @@ app = typer.Typer(
 app.command("run")(running.run)
 app.command("status")(products.status)
 app.command("products")(products.products)
+app.command("approve")(deciding.approve)
+app.command("plans")(deciding.plans)
+app.command("decisions")(deciding.decisions)
+app.add_typer(deciding.target_app, name="target")
 app.add_typer(cases.app, name="case")
 app.add_typer(keys.app, name="key")
 

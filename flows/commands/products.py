@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from flows.commands.options import CaseName, Root
+from flows.desk.standing import case_folder
 from flows.redo import CYCLE_STEPS
 from shared.artifacts.manifest import Manifest
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
-from shared.errors import DomainError
 
 _PLAIN = "-no-feedback"
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document, for programs")]
@@ -23,12 +23,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="one JSON document, for pro
 
 def manifests_of(root: Path, case: str) -> list[Manifest]:
     """The finished steps of a case, by its name or the end of it; DomainError if there are none."""
-    folders = root.iterdir() if root.is_dir() else []
-    named = [path.name for path in folders if path.name == case or path.name.endswith(f"-{case}")]
-    found = list(ArtifactStore(Roots(str(root))).manifests(named[0])) if named else []
-    if not found:
-        raise DomainError(f"Nothing of case '{case}' is finished under {root}.", field="case", value=case)
-    return found
+    return list(ArtifactStore(Roots(str(root))).manifests(case_folder(root, case)))
 
 
 def status(case: CaseName, root: Root = Path("artifacts"), as_json: AsJson = False) -> None:

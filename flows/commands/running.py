@@ -10,7 +10,7 @@ from rich.console import Console
 
 from flows.commands.options import CaseName, Root
 from flows.demo import RunOptions, only_run, run_case_here
-from flows.loop import FEEDBACKS
+from flows.loop_types import FEEDBACKS
 from flows.redo import forget_from
 from shared.errors import DomainError
 
@@ -23,6 +23,9 @@ def run(
     cycle_hours: Annotated[int, typer.Option(help="length of a cycle: 6, 12 or 24")] = 24,
     without: Annotated[list[str], typer.Option(help=f"feedback to leave out: {', '.join(FEEDBACKS)}")] = [],  # noqa: B006
     compare: Annotated[bool, typer.Option("--compare", help="run the last cycle again without feedback")] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait-for-approval", help="stop before the uplink of a plan that is a draft")
+    ] = False,
     services: Annotated[str, typer.Option(envvar="SMOKEGLINT_SERVICES", help="use running ones: name=url,…")] = "",
 ) -> None:
     """Run the loop. What is finished is answered from the store, so running again costs little."""
@@ -31,7 +34,7 @@ def run(
     for name in without:
         if name not in FEEDBACKS:
             raise DomainError(f"There is no feedback '{name}'.", field="without", accepted=", ".join(FEEDBACKS))
-    options = RunOptions(case, root.resolve(), cycle, cycle_hours, tuple(without), plain=not compare, services=services)
+    options = RunOptions(case, root.resolve(), cycle, cycle_hours, tuple(without), not compare, services, not wait)
     console = Console(soft_wrap=True)
     with only_run(options.root):
         if from_step:

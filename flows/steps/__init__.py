@@ -1,6 +1,7 @@
 """The flow's own steps: what happens between the services, each a process with a manifest like theirs."""
 
 from flows.steps.assembly import ASSEMBLE_INPUTS
+from flows.steps.decided import APPLY_DECISIONS
 from flows.steps.execution import EXECUTE
 from flows.steps.horizon import SET_HORIZON
 from flows.steps.import_case import IMPORT_CASE
@@ -15,6 +16,7 @@ LOCAL_STEPS = [
     IMPORT_CASE,
     SURVEY_TARGET,
     ASSEMBLE_INPUTS,
+    APPLY_DECISIONS,
     SET_HORIZON,
     UPLINK,
     EXECUTE,

@@ -16,6 +16,8 @@ class UplinkInputs(ProcessInputs):
     schedule: ArtifactRef = Field(description="schedule to bring up")
     contacts: ArtifactRef = Field(description="station contacts")
     release: AwareDatetime = Field(description="when the plan is ready to go")
+    approved_by: str = Field(min_length=1, description="who approved the plan; 'setting' where nobody had to")
+    approved_at: AwareDatetime = Field(description="when it was approved")
 
 
 class UplinkOutputs(ProcessOutputs):
@@ -32,11 +34,16 @@ def uplink(inputs: UplinkInputs, context: JobContext) -> UplinkOutputs:
     records = uplink_records(schedule, contacts, inputs.release)
     reached = [record for record in records if record["contact_start"]]
     return UplinkOutputs(
-        uplinks=context.write_json("uplinks.json", {"release": inputs.release.isoformat(), "satellites": records}),
+        uplinks=context.write_json("uplinks.json", {**_decided(inputs), "satellites": records}),
         satellites_reached=len(reached),
         new_commands=sum(record["new_commands"] for record in records),
         commands_still_in_force=sum(record["commands_still_in_force"] for record in records),
     )
+
+
+def _decided(inputs: UplinkInputs) -> dict[str, str]:
+    times = {"release": inputs.release.isoformat(), "approved_at": inputs.approved_at.isoformat()}
+    return {**times, "approved_by": inputs.approved_by}
 
 
 def uplink_records(schedule: pd.DataFrame, contacts: pd.DataFrame, release: Any) -> list[dict[str, Any]]:

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from flows.comparison import compare_schedules, compare_targets, read_reference
-from flows.loop import FEEDBACKS, Handover, plan, prioritise, taken
+from flows.desk.approval import NobodyDecides
+from flows.loop import taken
+from flows.loop_types import FEEDBACKS, Handover
+from flows.stages import decide, plan, prioritise
 from shared.contracts import tables
 
 if TYPE_CHECKING:
@@ -24,7 +27,8 @@ def test_without_it_the_second_cycle_is_another(tiny: TinyLoop, name: str) -> No
     runner = tiny.runner(f"without-{name}")
     given = taken(first.handover, feedback)
     steps = prioritise(runner, tiny.inputs, second.cutoff, given, feedback, tiny.profile.settings)
-    steps |= plan(runner, tiny.inputs, second.cutoff, given, steps, tiny.profile.settings)
+    steps |= decide(runner, NobodyDecides(), second.label, steps)
+    steps |= plan(runner, tiny.inputs, second.cutoff, given, steps, tiny.profile.settings, NobodyDecides())
     pairs = [
         [read_reference(s[step][table], schema) for s in (second.steps, steps)]
         for step, table, schema in (

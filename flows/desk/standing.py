@@ -1,0 +1,98 @@
+"""Where the plans of a case stand: draft → approved → uplinked → executed → downlinked, with who and when."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flows.desk.decisions import Decision, verdict_on
+from shared.artifacts.manifest import Manifest
+from shared.artifacts.roots import Roots
+from shared.artifacts.store import ArtifactStore
+from shared.errors import DomainError
+
+STATES = ("draft", "rejected", "approved", "uplinked", "executed", "downlinked")
+SCHEDULE = "schedule.parquet"
+
+
+@dataclass(frozen=True)
+class PlanStanding:
+    """One plan and what became of it. ``history`` holds (state, who, when); who is empty where nobody acted."""
+
+    cycle: str
+    schedule_sha256: str
+    history: tuple[tuple[str, str, str], ...]
+
+    @property
+    def state(self) -> str:
+        return self.history[-1][0]
+
+
+def case_folder(root: Path, case: str) -> str:
+    """The folder name of a case, given by its name or the end of it; DomainError if there is none."""
+    names = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+    named = [name for name in names if not name.startswith(".") and (name == case or name.endswith(f"-{case}"))]
+    if not named:
+        known = ", ".join(name for name in names if not name.startswith(".")) or "none"
+        raise DomainError(
+            f"Nothing of case '{case}' is finished under {root}.", field="case", value=case, accepted=known
+        )
+    return named[0]
+
+
+def plan_standings(root: Path, case: str, decisions: list[Decision]) -> list[PlanStanding]:
+    """The newest plan of each cycle, oldest cycle first, and how far it has come."""
+    cycles: dict[str, dict[str, tuple[float, Manifest]]] = {}
+    store = ArtifactStore(Roots(str(root)))
+    for manifest in store.manifests(case):
+        if "-" in manifest.cycle:
+            continue
+        step = manifest.product.process
+        written = (root / case / manifest.cycle / step / manifest.key / SCHEDULE).parent.stat().st_mtime
+        known = cycles.setdefault(manifest.cycle, {})
+        if step not in known or written > known[step][0]:
+            known[step] = (written, manifest)
+    planned = [(cycle, {step: manifest for step, (_, manifest) in steps.items()}) for cycle, steps in cycles.items()]
+    return [
+        _standing(root, cycle, steps, decisions) for cycle, steps in sorted(planned) if "plan-observations" in steps
+    ]
+
+
+def _standing(root: Path, cycle: str, steps: Mapping[str, Manifest], decisions: list[Decision]) -> PlanStanding:
+    digest = steps["plan-observations"].files[SCHEDULE].sha256
+    history = [("draft", "", "")]
+    verdict = verdict_on(decisions, digest)
+    uplink = _of_plan(steps.get("uplink"), digest)
+    if verdict is not None:
+        state = "rejected" if verdict.action == "reject" else "approved"
+        history.append((state, verdict.who, _utc(verdict)))
+    if uplink is not None:
+        sent = _document(root, uplink, "uplinks.json")
+        if verdict is None:
+            history.append(("approved", sent["approved_by"], sent["approved_at"]))
+        first = min((s["contact_start"] for s in sent["satellites"] if s["contact_start"]), default="")
+        history.append(("uplinked", "", first))
+        executed = _of_plan(steps.get("execute"), digest)
+        if executed is not None:
+            history.append(("executed", "", ""))
+            if executed.outputs.get("downlinked"):
+                history.append(("downlinked", "", ""))
+    return PlanStanding(cycle, digest, tuple(history))
+
+
+def _of_plan(manifest: Manifest | None, digest: str) -> Manifest | None:
+    """The step if it worked on that very schedule."""
+    return manifest if manifest and any(entry.sha256 == digest for entry in manifest.inputs) else None
+
+
+def _document(root: Path, manifest: Manifest, name: str) -> dict[str, Any]:
+    path = root / manifest.case / manifest.cycle / manifest.product.process / manifest.key / name
+    document: dict[str, Any] = json.loads(path.read_bytes())
+    return document
+
+
+def _utc(decision: Decision) -> str:
+    return decision.at.isoformat(timespec="seconds")
