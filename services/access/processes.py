@@ -130,6 +130,7 @@ class PredictAccessOutputs(ProcessOutputs):
     )
     report: ArtifactRef = Field(description="JSON: ages of the elements, warnings, satellites left out, counts")
     timeline: ArtifactRef | None = Field(None, description="PNG of contacts and eclipses, where figures are asked for")
+    map: ArtifactRef | None = Field(None, description="PNG of ground tracks and coverage, where figures are asked for")
     warnings: list[str] = Field(
         default_factory=list, description="old or too new orbits, satellites left out, short contacts"
     )

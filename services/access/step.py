@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from services.access.fleets import Fleet
     from services.access.prediction import Access
 
+Places = tuple[NDArray[np.float64], NDArray[np.float64]]
+
 
 def run_prediction(inputs: PredictAccessInputs, context: JobContext) -> PredictAccessOutputs:
     """Run one prediction; core errors name the field, line or row at fault."""
@@ -42,14 +44,14 @@ def run_prediction(inputs: PredictAccessInputs, context: JobContext) -> PredictA
             context.progress(10 + 75 * done / len(tasks), f"specular points and events of {found.satellite}")
         delivery.close()
         context.progress(86, "writing tables")
-        return _outputs(inputs, context, delivery, [station.name for station in stations])
+        return _outputs(inputs, context, delivery, stations, places)
 
 
 def _prepare(
     inputs: PredictAccessInputs,
     context: JobContext,
     stations: list[Station],
-    places: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+    places: Places | None,
 ) -> tuple[Access, list[prediction.Task]]:
     receivers, transmitters = (
         _orbits(context, files, name)
@@ -96,7 +98,7 @@ def _orbits(context: JobContext, files: ArtifactRef | list[ArtifactRef], name: s
 
 def _targets(
     inputs: PredictAccessInputs, context: JobContext
-) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], NDArray[np.float64]] | None]:
+) -> tuple[NDArray[np.int64], Places | None]:
     if inputs.targets is None:
         return np.zeros(0, dtype=np.int64), None
     targets = context.read_table(inputs.targets, "TARGETS")
@@ -145,7 +147,11 @@ def _fleet(inputs: PredictAccessInputs, context: JobContext) -> Fleet | None:
 
 
 def _outputs(
-    inputs: PredictAccessInputs, context: JobContext, delivery: Delivery, stations: Sequence[str]
+    inputs: PredictAccessInputs,
+    context: JobContext,
+    delivery: Delivery,
+    stations: Sequence[Station],
+    places: Places | None,
 ) -> PredictAccessOutputs:
     access = delivery.access
     summary = report(access, delivery.tally, delivery.targets, delivery.cells)
@@ -161,6 +167,7 @@ def _outputs(
         cell_coverage=delivery.write_cell_map(),
         report=context.write_json("report.json", summary),
         timeline=_timeline(access, stations, context) if inputs.with_figures else None,
+        map=_map(delivery, stations, places, context) if inputs.with_figures else None,
         warnings=summary["warnings"],
         opportunity_count=counts["opportunities"],
         image_count=counts["images"],
@@ -171,11 +178,31 @@ def _outputs(
     )
 
 
-def _timeline(access: Access, stations: Sequence[str], context: JobContext) -> ArtifactRef:
+def _timeline(access: Access, stations: Sequence[Station], context: JobContext) -> ArtifactRef:
     from services.access.events.timeline import SatelliteEvents, draw_timeline
     from shared import figures
 
     rows = [SatelliteEvents(one.satellite, one.contacts, one.eclipses) for one in access.satellites]
-    figure = draw_timeline(rows, stations, access.horizon.start, float(access.horizon.duration_s))
+    names = [station.name for station in stations]
+    figure = draw_timeline(rows, names, access.horizon.start, float(access.horizon.duration_s))
     figures.save(figure, context.new_file("timeline.png"), context.product_attributes())
     return context.ref("timeline.png")
+
+
+def _map(delivery: Delivery, stations: Sequence[Station], places: Places | None, context: JobContext) -> ArtifactRef:
+    """Tracks, and the targets by visits; the grid's cells where there are no targets."""
+    from services.access.maps import Covered, draw_map
+    from shared import figures
+
+    access = delivery.access
+    covered = None
+    if delivery.targets is not None and places is not None:
+        covered = Covered(*places, delivery.targets.frame()["visits"].to_numpy(), "Targets")
+    elif delivery.cells is not None and access.grid is not None:
+        visits = delivery.cells.frame()["visits"].to_numpy()
+        covered = Covered(access.grid.latitude_deg, access.grid.longitude_deg, visits, "Cells")
+    hours = access.horizon.duration_s / 3600.0
+    title = f"{access.horizon.start:%Y-%m-%d %H:%M} UTC, {hours:g} h"
+    figure = draw_map([(one.satellite, one.ground_deg) for one in access.satellites], stations, covered, title)
+    figures.save(figure, context.new_file("map.png"), context.product_attributes())
+    return context.ref("map.png")
