@@ -33,11 +33,15 @@ class Case:
     contacts: list[tuple[str, str, float, float]]
     eclipses: list[tuple[str, float, float]] = field(default_factory=list)
     craft: dict[str, Any] = field(default_factory=dict)
+    pointing: dict[int, str] = field(default_factory=dict)
+    """Pointing of each image; empty: agility is off."""
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
         rows = [(i, s, at(t), target) for i, s, t, covered in self.images for target in covered]
         opportunities = pd.DataFrame(rows, columns=["image_id", "satellite", "time", "target_id"])
+        if self.pointing:
+            opportunities["pointing"] = [self.pointing[i] for i in opportunities["image_id"]]
         targets = geopandas.GeoDataFrame(
             {
                 "target_id": list(self.rewards), "kind": [k for k, _ in self.rewards.values()],

@@ -1,0 +1,108 @@
+"""Recordings, mode switches, command budgets and slews: against every possible sequence of tiny cases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.planning.operations import judge, make_plan
+from services.planning.options.rules import OperationRules
+from services.planning.planner import Options
+from tests.services.planning.planning_brute_force import best_sequence
+from tests.services.planning.planning_cases import Case, random_case
+
+EXACT = Options(mip_gap=0.0, active_mandatory="false")
+RULES = {
+    "min_collect_s": OperationRules(min_collect_s=2),
+    "mode_switch_s": OperationRules(mode_switch_s=2),
+    "max_commands_per_day": OperationRules(max_commands_per_day=2),
+    "all": OperationRules(min_collect_s=2, mode_switch_s=1, max_commands_per_day=3),
+}
+
+
+def small(seed: int, satellites: int = 1, pointings: int = 1, horizon: int = 11) -> Case:
+    """A random case of at most 11 seconds; with ``pointings`` each image is taken under one of them."""
+    rng = np.random.default_rng(seed)
+    case = random_case(seed, satellites, 8 * satellites, tight=bool(seed % 2))
+    shots = [shot for shot in case.images if shot[2] < horizon]
+    if pointings > 1:  # every second image once more, elsewhere
+        shots += [(100 + i, s, t, [int(rng.integers(5))]) for i, s, t, _ in shots[::2]]
+    contacts = [(s, g, a, min(b, horizon)) for s, g, a, b in case.contacts if a < horizon - 1]
+    held = {i: f"side-{int(rng.integers(pointings)) if i < 100 else 0}" for i, *_ in shots} if pointings > 1 else {}
+    for i, s, t, _ in shots if pointings > 1 else []:
+        twin = [j for j, s2, t2, _ in shots if (s2, t2) == (s, t) and j != i]
+        if twin and held[i] == held[twin[0]]:
+            held[max(i, twin[0])] = "side-1" if held[i] == "side-0" else "side-0"
+    names = [f"side-{k}" for k in range(pointings)]
+    slew = {a: {b: int(rng.integers(0, 4)) for b in names if a != b} for a in names} if pointings > 1 else None
+    return replace(
+        case, images=shots, contacts=contacts, pointing=held, craft={**case.craft, "horizon_s": horizon, "slew": slew}
+    )
+
+
+@pytest.mark.parametrize("seed", range(300, 308))
+@pytest.mark.parametrize("name", RULES)
+def test_options_reach_the_best_of_all_sequences(seed: int, name: str) -> None:
+    case = small(seed)
+    best = best_sequence(case, RULES[name])
+    made = make_plan(case.tables, case.spacecraft, options=EXACT, rules=RULES[name], price=False)
+    assert made.plan.objective == pytest.approx(best, abs=1e-6)
+    assert made.plan.bound >= best - 1e-6
+    assert judge(made.schedule, case.tables, case.spacecraft, rules=RULES[name]).valid
+
+
+@pytest.mark.parametrize("seed", range(400, 412))
+def test_slews_reach_the_best_of_all_sequences(seed: int) -> None:
+    case = small(seed, pointings=2 + seed % 2)
+    best = best_sequence(case, OperationRules())
+    made = make_plan(case.tables, case.spacecraft, options=EXACT)
+    assert made.plan.objective == pytest.approx(best, abs=1e-6)
+    collects = made.schedule[made.schedule["command"] == "collect"]
+    assert collects["pointing"].tolist() == [case.pointing[i] for i in collects["image_id"]]
+
+
+@pytest.mark.parametrize("seed", range(500, 504))
+def test_two_satellites_share_a_station_under_all_options(seed: int) -> None:
+    case = small(seed, satellites=2, horizon=8)
+    best = best_sequence(case, RULES["all"])
+    made = make_plan(case.tables, case.spacecraft, options=EXACT, rules=RULES["all"], price=False)
+    assert made.plan.objective == pytest.approx(best, abs=1e-6)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(2000, 10**6), least=st.integers(1, 4), switch=st.integers(0, 3),
+    most=st.one_of(st.none(), st.integers(0, 5)), pointings=st.integers(1, 3),
+)  # fmt: skip
+def test_search_keeps_every_rule_and_never_beats_the_exact_plan(
+    seed: int, least: int, switch: int, most: int | None, pointings: int
+) -> None:
+    """The search for large cases, made to plan small ones: its plans pass the replay and stay below the optimum."""
+    case = small(seed, satellites=2, pointings=pointings)
+    rules = OperationRules(min_collect_s=least, mode_switch_s=switch, max_commands_per_day=most)
+    exact = make_plan(case.tables, case.spacecraft, options=EXACT, rules=rules, price=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("services.planning.sequencing.sequence.LARGEST_CELLS", 0)
+        quick = Options(mip_gap=0.0, active_mandatory="false", work_limit=0.2)
+        found = make_plan(case.tables, case.spacecraft, options=quick, rules=rules, price=False)
+    assert found.plan.objective <= exact.plan.bound + 1e-6
+    assert found.plan.objective <= found.plan.bound + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(600, 606))
+def test_the_previous_plan_may_break_what_new_commands_must_keep(seed: int) -> None:
+    """Rules switched on in mid-plan bind new commands only; frozen recordings stay however short they are."""
+    from tests.services.planning.planning_cases import at
+
+    case = replace(small(seed, satellites=2, horizon=11), eclipses=[])
+    previous = make_plan(case.tables, case.spacecraft).schedule
+    rules = OperationRules(min_collect_s=3, mode_switch_s=2, max_commands_per_day=3, frozen_until=at(5))
+    made = make_plan(case.tables, case.spacecraft, previous=previous, rules=rules, price=False)
+    verdict = judge(made.schedule, case.tables, case.spacecraft, previous=previous, rules=rules)
+    assert verdict.valid
+    early = previous[(previous["command"] == "collect") & (previous["start"] < at(5))]
+    assert set(early["image_id"]) <= set(made.schedule["image_id"].dropna())
