@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import geopandas
 import numpy as np
 import pandas as pd
 import pytest
@@ -24,52 +23,12 @@ from shared.contracts.schema import read_table, write_table
 from shared.errors import DomainError
 from shared.process.execution import resolve_step, run_step, validate_inputs
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
-
-HOURS = 3
-STATION_ROWS = {
-    "station": ["hawaii", "santiago", "dongara"],
-    "latitude_deg": [19.0, -33.13, -29.08],
-    "longitude_deg": [-155.65, -70.67, 115.58],
-    "height_m": [367.0, 723.0, 250.0],
-    "mask_deg": [7.0, 7.0, 7.0],
-    "datum": ["geodetic"] * 3,
-}
-
-
-def _targets() -> geopandas.GeoDataFrame:
-    """A lattice over the tropics, dateline included, ids of no order."""
-    longitude, latitude = np.meshgrid(np.arange(-180.0, 180.0, 4.0), np.arange(-34.0, 35.0, 4.0))
-    count = longitude.size
-    return geopandas.GeoDataFrame(
-        {
-            "target_id": np.random.default_rng(5).permutation(count) + 7_000_000_000,
-            "kind": "prefire",
-            "priority": 0.1,
-        },
-        geometry=geopandas.points_from_xy(longitude.ravel(), latitude.ravel()),
-        crs="EPSG:4326",
-    )
-
-
-def _stage(root: Path) -> dict[str, Any]:
-    (root / "in").mkdir(parents=True)
-    (root / "in/receivers.tle").write_text(RECEIVERS)
-    (root / "in/transmitters.tle").write_text(TRANSMITTERS)
-    write_table(root / "in/stations.parquet", pd.DataFrame(STATION_ROWS), tables.STATIONS)
-    write_table(root / "in/targets.parquet", _targets(), tables.TARGETS)
-    names = ("receivers.tle", "transmitters.tle", "stations.parquet", "targets.parquet")
-    return {name.split(".")[0]: {"href": f"in/{name}"} for name in names} | {
-        "start": START.isoformat(),
-        "duration_s": HOURS * 3600,
-        "target_radius_km": 60.0,
-        "with_specular_points": True,
-        "area": (170.0, -35.0, -120.0, 35.0),
-    }
+from tests.services.access.staging import HOURS, lattice, stage
 
 
 def _run(root: Path, **changes: Any) -> dict[str, Any]:
     store = ArtifactStore(Roots(str(root)))
-    inputs = validate_inputs(PROCESSES[0], {**_stage(root), **changes})
+    inputs = validate_inputs(PROCESSES[0], {**stage(root), **changes})
     seen: list[float] = []
     outputs = run_step(
         resolve_step(PROCESSES[0], inputs, store, "test"), store, "test", "job", lambda percent, _: seen.append(percent)
@@ -95,7 +54,7 @@ def test_opportunities_are_what_the_specular_points_cover(outputs: dict[str, Any
     assert found.groupby("image_id").agg(images=("satellite", "nunique"), times=("time", "nunique")).eq(1).all().all()
     assert outputs["image_count"] == found["image_id"].nunique() == found["image_id"].max() + 1
     points = read_table(_file(outputs, "specular_points"), tables.SPECULAR_POINTS)
-    targets = _targets()
+    targets = lattice()
     ours = found.merge(points, on=["satellite", "transmitter", "time"], suffixes=("", "_point"))
     place = targets.set_index("target_id").geometry.loc[ours["target_id"]]
     chord = np.linalg.norm(
@@ -130,7 +89,7 @@ def test_specular_points_keep_to_the_area_across_the_dateline(outputs: dict[str,
 
 
 def _positions() -> tuple[np.ndarray, np.ndarray]:
-    targets = _targets()
+    targets = lattice()
     return targets.geometry.y.to_numpy(), targets.geometry.x.to_numpy()
 
 
@@ -158,7 +117,7 @@ def test_the_same_inputs_give_the_same_bytes(outputs: dict[str, Any], tmp_path: 
 
 
 def test_a_longer_step_keeps_the_images_of_the_shorter(outputs: dict[str, Any]) -> None:
-    targets = _targets()
+    targets = lattice()
     horizon = Horizon(START, HOURS * 3600, 30)
     access = predict(read_orbits(RECEIVERS), read_orbits(TRANSMITTERS), [], _positions(), horizon, AccessOptions(60.0))
     coarse = opportunities_frame(access, targets["target_id"].to_numpy())
