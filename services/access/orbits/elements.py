@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 from sgp4.api import Satrec
 
 from shared.errors import DomainError
+
+DAY_NOT_SAID = datetime.min.replace(tzinfo=UTC)  # of a decay whose day is not known
 
 
 class Placed(Protocol):
@@ -27,7 +29,7 @@ class Placed(Protocol):
 class ElementSet:
     """One satellite's elements: its name here, catalogue number, epoch (UTC), SGP4 record and place in the file.
 
-    ``decayed``: when it came down, where the catalogue says so.
+    ``decayed``: when it came down, where the catalogue says so (``DAY_NOT_SAID`` where it says only that it did).
     """
 
     name: str

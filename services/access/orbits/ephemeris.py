@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sgp4.api import SGP4_ERRORS, SatrecArray
 from sgp4.conveniences import jday_datetime
 
-from services.access.orbits.elements import ElementSet
+from services.access.orbits.elements import DAY_NOT_SAID, ElementSet
 from services.access.orbits.orientation import orientation_at, teme_to_itrf
 from shared.errors import DomainError
 
@@ -93,7 +93,8 @@ def propagate(
     for row, element in enumerate(elements):
         reason = _failure(errors[row], position[row], t_s)
         if element.decayed is not None and element.decayed < end:
-            reason = f"the catalogue says that it came down on {element.decayed:%Y-%m-%d}"
+            when = "" if element.decayed == DAY_NOT_SAID else f" on {element.decayed:%Y-%m-%d}"
+            reason = f"the catalogue says that it came down{when}"
         if reason:
             dropped[element.name] = f"{reason} ({element.where})"
         else:

@@ -10,7 +10,7 @@ from typing import Any
 from sgp4 import omm
 from sgp4.api import Satrec
 
-from services.access.orbits.elements import ElementSet, refuse_impossible
+from services.access.orbits.elements import DAY_NOT_SAID, ElementSet, refuse_impossible
 from services.access.orbits.ndm import Keywords, keyword_line, utc_datetime, xml_events
 from shared.errors import DomainError
 
@@ -125,8 +125,8 @@ def _finite(text: str) -> float:
 
 
 def _decay(fields: Mapping[str, str]) -> datetime | None:
-    """When the catalogue says that the satellite came down; its epoch where it says only that it did."""
+    """When the catalogue says that the satellite came down; the beginning of time where it does not say when."""
     try:
         return utc_datetime(fields.get("DECAY_DATE", ""))
     except ValueError:
-        return utc_datetime(fields["EPOCH"]) if fields.get("DECAYED", "0").strip() == "1" else None
+        return DAY_NOT_SAID if fields.get("DECAYED", "0").strip() == "1" else None

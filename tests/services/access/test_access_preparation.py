@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -182,15 +182,6 @@ def test_the_position_error_is_stated_where_it_was_measured() -> None:
 )
 def test_codes_of_all_four_constellations(name: str, number: int | None, code: str | None) -> None:
     assert transmitter_code(name, number, START) == code
-
-
-def test_listed_codes_agree_with_printed_ones_of_all_constellations() -> None:
-    """No catalogue number stands in two tables, and none gives two satellites one code on a day."""
-    for year in range(2020, 2027):
-        when = datetime(year, 6, 1, tzinfo=UTC)
-        codes = [transmitter_code("", number, when) for number in range(20000, 70000)]
-        known = [code for code in codes if code]
-        assert len(known) == len(set(known))
 
 
 def test_constellations_are_chosen_by_letter(real_data: Path) -> None:
