@@ -9,13 +9,14 @@ into the forecast and reaches the classes that no station measures (Vejmelka et 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from services.prioritization import indices
+from services.prioritization.fuel_moisture_stations import FilterNoise, StationObservations, at_hours, screened
 from services.prioritization.weather import WeatherGrid
 from shared.errors import DomainError
 
@@ -32,41 +33,27 @@ BIAS_LIMIT_PCT = 15.0
 
 
 @dataclass(frozen=True)
-class FilterNoise:
-    """Variances of the filter, per cent squared (per hour for the process noise); one value a state component.
+class FilterState:
+    """What the next hour resumes from: moistures and equilibrium error (4, n), and their covariance (n, 4, 4)."""
 
-    Components: 1-h, 10-h, 100-h moisture, equilibrium error. ``gate``: innovations beyond so many standard deviations
-    are a station gone mad. ``reach_km``: how far a station speaks; its error grows by ``km_sd_pct`` per 10 km.
-    """
-
-    initial: tuple[float, float, float, float] = (9.0, 16.0, 25.0, 4.0)
-    process: tuple[float, float, float, float] = (0.5, 0.1, 0.01, 0.03)
-    observation_sd_pct: float = 1.5
-    gate: float = 4.0
-    reach_km: float = 75.0
-    km_sd_pct: float = 0.4
-    stuck_hours: int = 24
-
-
-@dataclass(frozen=True)
-class StationObservations:
-    """10-h moisture at stations: per observation its hour index in the run, place, value and standard deviation."""
-
-    hour: npt.NDArray[np.int64]
-    longitude_deg: Array
-    latitude_deg: Array
-    moisture_pct: Array
-    sd_pct: Array
+    mean: Array
+    covariance: Array
 
 
 @dataclass(frozen=True)
 class FuelMoisture:
-    """Moisture and its variance per hour, class (1, 10, 100 h) and cell: (t, 3, n); counts of what was refused."""
+    """Moisture and its variance per hour, class (1, 10, 100 h) and cell: (t, 3, n); counts of what was refused.
+
+    Cells whose weather is never known are NaN; ``hours_without_weather`` (n,) counts the hours that a cell was carried
+    on without any. ``state`` resumes the run.
+    """
 
     moisture_pct: Array
     variance: Array
     used: int
-    refused: dict[str, int] = field(default_factory=dict)
+    refused: dict[str, int]
+    hours_without_weather: npt.NDArray[np.int64]
+    state: FilterState
 
 
 def step(moisture_pct: Array, equilibrium_pct: Array, rain_mm_h: Array, hours: float) -> tuple[Array, Array, Array]:
@@ -95,31 +82,42 @@ def run(
     latitude_deg: Array,
     observations: StationObservations | None = None,
     noise: FilterNoise | None = None,
+    initial: FilterState | None = None,
 ) -> FuelMoisture:
     """Filter ``n`` cells through ``t`` hours; without observations it is the plain model with its growing variance.
 
     ``hour`` (t,) hours from any origin, ascending, gaps allowed; ``equilibrium_pct`` and ``rain_mm_h`` (t, n), NaN
-    where unknown; places (n,) in degrees.
+    where unknown; places (n,) in degrees. ``initial`` goes on from an earlier run that ended the hour before.
     """
     noise = noise or FilterNoise()
     count, cells = equilibrium_pct.shape
-    accepted, refused = _screened(observations, noise)
-    state = np.zeros((4, cells))
-    state[:3] = _first_day_mean(equilibrium_pct)
-    covariance = np.tile(np.diag(noise.initial), (cells, 1, 1))
+    accepted, refused = screened(observations, noise)
+    begin = initial or first_state(equilibrium_pct, noise)
+    state, covariance = begin.mean.copy(), begin.covariance.copy()
     out, variance = np.full((count, 3, cells), np.nan), np.full((count, 3, cells), np.nan)
     used = 0
-    refused["beyond the gate"] = 0
     for t in range(count):
         gap = hour[t] - hour[t - 1] if t else 1.0
         state, covariance = _predict(state, covariance, equilibrium_pct[t], rain_mm_h[t], gap, noise)
         for index in np.flatnonzero(accepted.hour == t) if accepted is not None else ():
-            took = _update(state, covariance, accepted, int(index), longitude_deg, latitude_deg, noise)
-            used += took
-            refused["beyond the gate"] += not took
+            why = _update(state, covariance, accepted, int(index), longitude_deg, latitude_deg, noise)
+            used += not why
+            if why:
+                refused[why] = refused.get(why, 0) + 1
         out[t] = np.clip(state[:3], 0.5, SATURATION_PCT)
         variance[t] = np.diagonal(covariance, axis1=1, axis2=2)[:, :3].T
-    return FuelMoisture(out, variance, used, refused)
+    unknown = np.isnan(equilibrium_pct)
+    never = unknown.all(axis=0) if initial is None else np.zeros(cells, dtype=bool)
+    out[:, :, never], variance[:, :, never] = np.nan, np.nan
+    return FuelMoisture(out, variance, used, refused, unknown.sum(axis=0), FilterState(state, covariance))
+
+
+def first_state(equilibrium_pct: Array, noise: FilterNoise) -> FilterState:
+    """The start: every class in balance with the first day of the cell's air, variances of ``noise.initial``."""
+    cells = equilibrium_pct.shape[1]
+    state = np.zeros((4, cells))
+    state[:3] = _first_day_mean(equilibrium_pct)
+    return FilterState(state, np.tile(np.diag(noise.initial), (cells, 1, 1)))
 
 
 def _first_day_mean(equilibrium_pct: Array) -> Array:
@@ -153,43 +151,25 @@ def _update(
     longitude_deg: Array,
     latitude_deg: Array,
     noise: FilterNoise,
-) -> bool:
-    """Correct the cells in reach of one station, in place; False where it is refused at its own cell."""
+) -> str:
+    """Correct the cells in reach of one station, in place; says why not where it is refused at its own cell."""
     north = latitude_deg - observations.latitude_deg[index]
     east = (longitude_deg - observations.longitude_deg[index]) * np.cos(np.radians(observations.latitude_deg[index]))
     distance_km = 111.195 * np.hypot(north, east)
     near = np.flatnonzero(distance_km <= noise.reach_km)
     if not len(near):
-        return False
+        return "out of reach of every cell"
     error = observations.sd_pct[index] ** 2 + (noise.km_sd_pct * distance_km[near] / 10) ** 2
     innovation = observations.moisture_pct[index] - state[OBSERVED_CLASS, near]
     total = covariance[near, OBSERVED_CLASS, OBSERVED_CLASS] + error
     closest = int(np.argmin(distance_km[near]))
     if abs(innovation[closest]) > noise.gate * np.sqrt(total[closest]):
-        return False
+        return "beyond the gate"
     gain = covariance[near][:, :, OBSERVED_CLASS] / total[:, None]
     state[:, near] += (gain * innovation[:, None]).T
     state[3, near] = np.clip(state[3, near], -BIAS_LIMIT_PCT, BIAS_LIMIT_PCT)
     covariance[near] -= gain[:, :, None] * covariance[near][:, OBSERVED_CLASS, None, :]
-    return True
-
-
-def _screened(
-    observations: StationObservations | None, noise: FilterNoise
-) -> tuple[StationObservations | None, dict[str, int]]:
-    """Observations that can be true: finite, 1-120 %, and not one value repeated for a day (a stuck sensor)."""
-    if observations is None:
-        return None, {}
-    frame = pd.DataFrame({name: getattr(observations, name) for name in StationObservations.__dataclass_fields__})
-    impossible = ~frame["moisture_pct"].between(1, 120)
-    frame = frame[~impossible].sort_values(["longitude_deg", "latitude_deg", "hour"], kind="stable")
-    place = frame.groupby(["longitude_deg", "latitude_deg"], sort=False).ngroup()
-    change = (frame["moisture_pct"].diff() != 0) | (place.diff() != 0)
-    run_length = frame.groupby(change.cumsum())["hour"].transform("size")
-    stuck = run_length >= noise.stuck_hours
-    kept = frame[~stuck].sort_values(["hour", "longitude_deg", "latitude_deg"], kind="stable")
-    screened = StationObservations(**{name: kept[name].to_numpy() for name in kept.columns})
-    return screened, {"impossible": int(impossible.sum()), "stuck sensor": int(stuck.sum())}
+    return ""
 
 
 def forecast(
@@ -209,33 +189,7 @@ def forecast(
     ).reshape(cells)
     latitude, longitude = np.meshgrid(grid.latitude_deg, grid.longitude_deg, indexing="ij")
     hour = (grid.time - grid.time[0]) / np.timedelta64(1, "h")
-    stations = None if observations is None else _stations(observations, grid, time, noise)
+    stations, unused = (None, {}) if observations is None else at_hours(observations, grid, time, noise)
     rain = grid.fields["rain_mm"].reshape(cells)
-    return run(hour, equilibrium, rain, longitude.ravel(), latitude.ravel(), stations, noise)
-
-
-def _stations(
-    table: pd.DataFrame, grid: WeatherGrid, time: pd.Timestamp, noise: FilterNoise
-) -> StationObservations | None:
-    for name in ("time", "geometry", "fuel_moisture_10h_pct"):
-        if name not in table.columns:
-            raise DomainError(
-                f"The observations lack the column '{name}'.",
-                field="observations",
-                value=name,
-                accepted="time, geometry, fuel_moisture_10h_pct, optionally fuel_moisture_sd_pct",
-            )
-    known = table[table["time"] <= time]
-    instants = known["time"].dt.tz_convert("UTC").dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
-    index = np.searchsorted(grid.time + np.timedelta64(30, "m"), instants)
-    near = index < len(grid.time)
-    near[near] &= np.abs(grid.time[index[near]] - instants[near]) <= np.timedelta64(30, "m")
-    rows = known[near]
-    sd = rows.get("fuel_moisture_sd_pct", pd.Series(noise.observation_sd_pct, index=rows.index))
-    return StationObservations(
-        index[near].astype(np.int64),
-        rows.geometry.x.to_numpy(),
-        rows.geometry.y.to_numpy(),
-        rows["fuel_moisture_10h_pct"].to_numpy(dtype=np.float64),
-        sd.to_numpy(dtype=np.float64),
-    )
+    result = run(hour, equilibrium, rain, longitude.ravel(), latitude.ravel(), stations, noise)
+    return replace(result, refused=unused | result.refused)

@@ -26,6 +26,11 @@ def to_dataset(result: FuelMoisture, grid: WeatherGrid) -> xr.Dataset:
             variance,
             {"long_name": f"variance of {label}", "units": "percent2"},
         )
+    data["hours_without_weather"] = (
+        ("latitude", "longitude"),
+        result.hours_without_weather.reshape(shape[1:]).astype(np.int32),
+        {"long_name": "hours carried on without weather; all hours: the cell has no value", "units": "h"},
+    )
     coordinates = {
         "time": ("time", grid.time),
         "latitude": ("latitude", grid.latitude_deg, {"units": "degrees_north", "standard_name": "latitude"}),

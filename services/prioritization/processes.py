@@ -84,6 +84,8 @@ class ForecastFuelMoistureOutputs(ProcessOutputs):
 
 def forecast_fuel_moisture(inputs: ForecastFuelMoistureInputs, context: JobContext) -> ForecastFuelMoistureOutputs:
     """1-, 10- and 100-h dead fuel moisture with variance, every hour of the weather, corrected by stations."""
+    import numpy as np
+
     from services.prioritization import fuel_moisture, fuel_moisture_grid, sources
     from shared.contracts import grids
 
@@ -100,7 +102,10 @@ def forecast_fuel_moisture(inputs: ForecastFuelMoistureInputs, context: JobConte
         "observations_used": result.used,
         "observations_refused": result.refused,
         "weather_values_taken_out": weather.flagged,
-        "sd_10h_pct_at_end": float(result.variance[-1, 1].mean() ** 0.5),
+        "sd_10h_pct_at_end": float(np.nanmean(result.variance[-1, 1]) ** 0.5),
+        "hours_ahead": float((weather.time[-1] - np.datetime64(time.tz_localize(None), "ns")) / np.timedelta64(1, "h")),
+        "cells_without_weather": int((result.hours_without_weather == len(weather.time)).sum()),
+        "cells_with_gaps": int((result.hours_without_weather > 0).sum()),
     }
     return ForecastFuelMoistureOutputs(
         fuel_moisture=context.ref("fuel_moisture.nc"),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import geopandas
 import numpy as np
 import pandas as pd
 import pytest
 
-from services.prioritization import fuel_moisture, indices
-from services.prioritization.fuel_moisture import FilterNoise, StationObservations
+from services.prioritization import fuel_moisture, indices, weather
+from services.prioritization.fuel_moisture_grid import to_dataset
+from services.prioritization.fuel_moisture_stations import FilterNoise, StationObservations
 
 ONE = np.array([0.0])
 
@@ -149,24 +153,77 @@ def test_nearer_cells_learn_more():
     assert gain[0] > gain[1] > gain[2] > 0
 
 
-def test_filter_on_five_years_of_a_real_station(real_data):
-    """Weather of a real station, moisture of a synthetic truth: the filter against the model alone, gaps and all."""
-    table = pd.read_csv(real_data / "weather" / "raws_260402_hourly_2012_2016.csv.gz")
-    table.columns = [name.strip() for name in table.columns]
-    hours = pd.to_datetime(table["DATE"]) + pd.to_timedelta(table["Time"].astype(int) // 100, unit="h")
-    table = table.assign(hours=hours).drop_duplicates("hours").sort_values("hours").iloc[: 24 * 365]
-    hour = ((table["hours"] - table["hours"].iloc[0]) / pd.Timedelta(hours=1)).to_numpy()
-    temperature = (table["Temp"].to_numpy(float) - 32) / 1.8
-    equilibrium = indices.equilibrium_moisture_pct(temperature, np.clip(table["RH"].to_numpy(float), 0, 100))[:, None]
-    rain = 25.4 * table["Rain"].to_numpy(float)[:, None]
-    truth = _truth(hour, equilibrium, rain, bias=2.0)
-    rng = np.random.default_rng(2)
-    observed = truth + rng.normal(0, 1.5, len(truth))
-    kept = np.flatnonzero(rng.random(len(truth)) < 0.3)
-    stations = StationObservations(
-        kept, np.zeros(len(kept)), np.zeros(len(kept)), observed[kept], np.full(len(kept), 1.5)
+def test_filter_on_a_year_of_a_real_station(real_data):
+    """Real weather, synthetic truth and sensor (noisy, gappy, mad at times): better now and 48 h ahead, and honest."""
+    from tests.bench.prioritization import fuel_moisture_trial as trial
+
+    station = trial.read_station(real_data / "weather" / "raws_260402_hourly_2012_2016.csv.gz")
+    year = trial.Weather(station.time[:8760], station.equilibrium_pct[:8760], station.rain_mm[:8760])
+    assert np.isnan(year.equilibrium_pct).any()
+    figures = {name: value for name, value, _, _ in trial.metrics(trial.run(year))}
+    assert figures["fuel_moisture_rmse_pct"] < 0.5 * figures["fuel_moisture_rmse_without_filter_pct"]
+    assert figures["fuel_moisture_rmse_48h_pct"] < 0.6 * figures["fuel_moisture_rmse_48h_without_filter_pct"]
+    assert 80 < figures["fuel_moisture_covered_by_90_pct_interval"] < 98
+    assert 80 < figures["fuel_moisture_48h_covered_by_90_pct_interval"] < 98
+
+
+def test_a_run_resumed_is_the_run_uninterrupted():
+    hour, equilibrium, rain = _synthetic_weather(96)
+    stations = _stations(hour, np.full(96, 12.0) + 0.01 * hour)
+    whole = fuel_moisture.run(hour, equilibrium, rain, ONE, ONE, stations)
+    first = fuel_moisture.run(hour[:50], equilibrium[:50], rain[:50], ONE, ONE, _part(stations, 0, 50))
+    rest = fuel_moisture.run(
+        hour[50:], equilibrium[50:], rain[50:], ONE, ONE, _part(stations, 50, 96), initial=first.state
     )
-    plain = fuel_moisture.run(hour, equilibrium, rain, ONE, ONE)
-    corrected = fuel_moisture.run(hour, equilibrium, rain, ONE, ONE, stations)
-    rms = [np.sqrt(np.mean((r.moisture_pct[:, 1, 0] - truth) ** 2)) for r in (plain, corrected)]
-    assert rms[1] < 0.7 * rms[0]
+    np.testing.assert_allclose(rest.moisture_pct, whole.moisture_pct[50:], rtol=1e-12)
+    np.testing.assert_allclose(rest.variance, whole.variance[50:], rtol=1e-12)
+
+
+def _part(stations: StationObservations, begin: int, end: int) -> StationObservations:
+    chosen = (stations.hour >= begin) & (stations.hour < end)
+    values = {name: getattr(stations, name)[chosen] for name in StationObservations.__dataclass_fields__}
+    return StationObservations(**(values | {"hour": values["hour"] - begin}))
+
+
+def _grid(time, hours=72) -> weather.WeatherGrid:
+    """Steady dry air on 3 x 4 cells; the hours reach 48 h beyond ``time``."""
+    times = pd.date_range(time - pd.Timedelta(hours=hours - 49), periods=hours, freq="h").tz_localize(None)
+    shape = (hours, 3, 4)
+    fields = {"temperature_c": 30.0, "relative_humidity_pct": 20.0, "wind_speed_m_s": 3.0, "rain_mm": 0.0}
+    return weather.WeatherGrid(
+        times.to_numpy().astype("datetime64[ns]"),
+        np.array([33.0, 33.5, 34.0]),
+        np.array([-109.0, -108.5, -108.0, -107.5]),
+        {name: np.full(shape, value) for name, value in fields.items()},
+    )
+
+
+def _reports(time, places, hours_ago=(1, 2, 3)) -> geopandas.GeoDataFrame:
+    rows = [(time - pd.Timedelta(hours=h), x, y, 9.0 + h / 10) for x, y in places for h in hours_ago]
+    frame = pd.DataFrame(rows, columns=["time", "x", "y", "fuel_moisture_10h_pct"])
+    return geopandas.GeoDataFrame(frame, geometry=geopandas.points_from_xy(frame.x, frame.y), crs="EPSG:4326")
+
+
+def test_stations_outside_the_grid_and_after_the_cut_off_are_counted_and_change_nothing(time):
+    grid = _grid(time)
+    plain = fuel_moisture.forecast(grid, None, time)
+    outside = fuel_moisture.forecast(grid, _reports(time, [(-100.0, 33.5), (-108.5, 60.0)]), time)
+    np.testing.assert_array_equal(outside.moisture_pct, plain.moisture_pct)
+    assert outside.used == 0 and outside.refused["outside the grid"] == 6
+    later = fuel_moisture.forecast(grid, _reports(time, [(-108.5, 33.5)], hours_ago=(-5, 1)), time)
+    assert later.used == 1 and later.refused["after the cut-off"] == 1
+    assert later.moisture_pct[-1, 1].max() > plain.moisture_pct[-1, 1].max()  # still felt 48 h ahead
+
+
+def test_a_block_without_weather_has_no_value_and_is_flagged(time):
+    grid = _grid(time)
+    temperature = grid.fields["temperature_c"].copy()
+    temperature[:, 0, :2] = np.nan
+    temperature[10:20, 2, 3] = np.nan
+    holed = replace(grid, fields=grid.fields | {"temperature_c": temperature})
+    result = fuel_moisture.forecast(holed, _reports(time, [(-108.5, 33.5)]), time)
+    dataset = to_dataset(result, holed)
+    assert np.isnan(dataset["fuel_moisture_10h_pct"].to_numpy()[:, 0, :2]).all()
+    assert dataset["hours_without_weather"].to_numpy()[0].tolist() == [72, 72, 0, 0]
+    assert dataset["hours_without_weather"].to_numpy()[2, 3] == 10
+    assert np.isfinite(dataset["fuel_moisture_10h_pct"].to_numpy()[:, 1:]).all()
