@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import NDArray
 
 from services.arrival.assignment import Assignment
@@ -16,6 +17,7 @@ from services.arrival.field import FieldSettings, Ignition
 from services.arrival.grid import FireGrid, make_grid
 from services.arrival.inference import ArrivalMap, infer_arrival
 from services.arrival.looks import Looks, looks_from_burned_area, looks_from_detections, merge
+from services.arrival.outlines import Outlines, honour, looks_from_outlines, read_outlines
 from services.arrival.paper_method import PaperSettings
 from shared.errors import DomainError
 
@@ -34,6 +36,7 @@ class FireCase:
     looks: Looks
     ignition: Ignition
     end_h: float
+    outlines: Outlines | None = None
 
 
 def within(frame: gpd.GeoDataFrame, start: pd.Timestamp, end: pd.Timestamp) -> gpd.GeoDataFrame:
@@ -84,12 +87,14 @@ def build_case(
     cell_m: float,
     margin_km: float,
     seed: int,
+    known: gpd.GeoDataFrame | None = None,
 ) -> FireCase:
     """The looks of one incident on a grid of its own. Tables hold only rows up to `end`.
 
     The grid spans the incident's detections (without any: its ignition) with a margin; no-fire looks on it take
     part, burned-area points near the incident's own detections too. A point geometry is the place of ignition; an
-    outline is used for the assignment only, so that a perimeter never enters what it may be scored against.
+    outline is used for the assignment only, so that a perimeter never enters what it may be scored against. `known`
+    holds this incident's time-stamped perimeters and ignition points where the caller gives any: those do enter.
     """
     incident_id = str(incident["incident_id"])
     own = detections.iloc[assignment.fire[incident_id]]
@@ -102,9 +107,13 @@ def build_case(
     lon, lat = own.geometry.x.to_numpy(float), own.geometry.y.to_numpy(float)
     if is_point or len(own) == 0:
         lon, lat = np.append(lon, origin.x), np.append(lat, origin.y)
+    if known is not None and len(known):
+        corners = shapely.get_coordinates(known.geometry.to_numpy())
+        lon, lat = np.append(lon, corners[:, 0]), np.append(lat, corners[:, 1])
     grid = make_grid(lon, lat, cell_m, margin_km)
     started = pd.Timestamp(incident["start"]).tz_convert("UTC")
-    reference = min([started, *([own["time"].min()] if len(own) else [])]).floor("h")
+    dated = [table["time"].min() for table in (own, known) if table is not None and len(table)]
+    reference = min([started, *dated]).floor("h")
     no_fire = detections[~detections["fire"].to_numpy(bool)]
     no_fire = _thinned(no_fire[_on_grid(no_fire, grid)], seed)
     parts = [looks_from_detections(pd.concat([own, no_fire]), grid, reference)]
@@ -116,11 +125,31 @@ def build_case(
     x, y = (float(value[0]) for value in grid.local_km(np.array([origin.x]), np.array([origin.y])))
     start_h = (started - reference).total_seconds() / 3600.0
     ignition = Ignition(start_h, x, y) if is_point else Ignition(start_h)
+    outlines = read_outlines(known, grid, reference) if known is not None and len(known) else None
+    if outlines is not None:
+        parts.append(looks_from_outlines(outlines, grid))
+        ignition = _known_ignition(ignition, outlines)
     looks = merge(parts)
     looks = looks.take(looks.time_h >= 0.0)
     return FireCase(
-        incident_id, str(incident["name"]), reference, grid, looks, ignition, (end - reference).total_seconds() / 3600.0
+        incident_id,
+        str(incident["name"]),
+        reference,
+        grid,
+        looks,
+        ignition,
+        (end - reference).total_seconds() / 3600.0,
+        outlines,
     )
+
+
+def _known_ignition(reported: Ignition, outlines: Outlines) -> Ignition:
+    """The earliest known ignition point, where one is given, instead of what the incident reports."""
+    if outlines.point_h.size == 0:
+        return reported
+    first = int(outlines.point_h.argmin())
+    place = (float(outlines.point_x_km[first]), float(outlines.point_y_km[first]))
+    return Ignition(float(outlines.point_h[first]), *place)
 
 
 def map_case(
@@ -133,7 +162,8 @@ def map_case(
     """The arrival map of a case; without any fire evidence an empty map flagged `no-detection`, where nothing burned
     is claimed."""
     try:
-        return infer_arrival(case.looks, case.grid, case.ignition, case.end_h, method, seed, settings, progress)
+        found = infer_arrival(case.looks, case.grid, case.ignition, case.end_h, method, seed, settings, progress)
+        return found if case.outlines is None else honour(found, case.outlines, case.looks, case.ignition.time_h)
     except DomainError as error:
         if error.field != "detections":
             raise

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from services.arrival.extent import FIRE_SEEN, NO_FIRE_SEEN, NOT_SEEN, paint
-from services.arrival.fires import FireCase
+from services.arrival.extent import FIRE_SEEN, NOT_SEEN, paint
+from services.arrival.grid import FireGrid
 from services.arrival.inference import ArrivalMap
-from services.arrival.looks import Looks, looks_from_detections
+from services.arrival.looks import looks_from_detections
 
 NO_PASS, HIDDEN, CLEAR, BURNING = 0, 1, 2, 3
 MEANINGS = ("no_pass", "hidden_by_cloud_or_water", "no_fire_seen", "fire_seen")
@@ -33,26 +33,43 @@ class Sight:
         return end_h - self.clear_h
 
 
-def hidden_looks(obscured: gpd.GeoDataFrame, case: FireCase) -> Looks | None:
-    """Pixels that a pass covered and could not judge, on the fire's grid; None where there are none."""
-    if len(obscured) == 0:
-        return None
-    x, y = case.grid.local_km(obscured.geometry.x.to_numpy(float), obscured.geometry.y.to_numpy(float))
-    rows, columns = case.grid.shape
-    half = case.grid.cell_m / 2e3
-    hours = (pd.to_datetime(obscured["time"], utc=True) - case.reference).dt.total_seconds().to_numpy(float) / 3600.0
-    inside = (np.abs(x) <= columns * half) & (np.abs(y) <= rows * half) & (hours <= case.end_h)
-    return looks_from_detections(obscured[inside], case.grid, case.reference) if inside.any() else None
+@dataclass(frozen=True)
+class Passes:
+    """Hours (rows, columns) since the reference time of the latest no-fire look, and of the latest look that cloud,
+    water or glint hid; NaN where there was none. Of all rows, also those that inference thins out."""
+
+    no_fire_h: Floats
+    hidden_h: Floats
 
 
-def sight_of(case: FireCase, arrival: ArrivalMap, obscured: gpd.GeoDataFrame | None = None) -> Sight:
+def _latest(frame: gpd.GeoDataFrame, grid: FireGrid, reference: pd.Timestamp, end_h: float) -> Floats:
+    nothing = np.full(grid.shape, np.nan)
+    if len(frame) == 0:
+        return nothing
+    x, y = grid.local_km(frame.geometry.x.to_numpy(float), frame.geometry.y.to_numpy(float))
+    rows, columns = grid.shape
+    half = grid.cell_m / 2e3
+    hours = (pd.to_datetime(frame["time"], utc=True) - reference).dt.total_seconds().to_numpy(float) / 3600.0
+    inside = (np.abs(x) <= columns * half) & (np.abs(y) <= rows * half) & (hours <= end_h)
+    return paint(grid, looks_from_detections(frame[inside], grid, reference), "last") if inside.any() else nothing
+
+
+def paint_passes(
+    detections: gpd.GeoDataFrame, obscured: gpd.GeoDataFrame, grid: FireGrid, reference: pd.Timestamp, end_h: float
+) -> Passes:
+    """When the cells of a grid were last looked at without fire, and last passed over without a view."""
+    no_fire = detections[~detections["fire"].to_numpy(bool)]
+    return Passes(_latest(no_fire, grid, reference, end_h), _latest(obscured, grid, reference, end_h))
+
+
+def sight_of(arrival: ArrivalMap, passes: Passes | None = None) -> Sight:
     """What was known of every cell of a fire's map by the end of its period."""
     evidence = arrival.evidence
-    hidden = hidden_looks(obscured, case) if obscured is not None else None
-    hidden_h = paint(case.grid, hidden, "last") if hidden is not None else np.full(case.grid.shape, np.nan)
     clear_h = np.where(evidence.information == NOT_SEEN, np.nan, evidence.latest_h)
-    state = np.full(case.grid.shape, NO_PASS, np.uint8)
-    state[np.isfinite(hidden_h)] = HIDDEN
-    state[evidence.information == NO_FIRE_SEEN] = CLEAR
+    hidden_h = np.full(arrival.grid.shape, np.nan)
+    if passes is not None:
+        clear_h, hidden_h = np.fmax(clear_h, passes.no_fire_h), passes.hidden_h
+    state = np.where(np.isfinite(hidden_h), HIDDEN, NO_PASS).astype(np.uint8)
+    state[np.isfinite(clear_h)] = CLEAR
     state[evidence.information == FIRE_SEEN] = BURNING
     return Sight(state, clear_h, hidden_h)

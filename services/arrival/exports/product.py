@@ -10,9 +10,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from services.arrival.extent import NOT_SEEN
 from services.arrival.grid import FireGrid
 from services.arrival.inference import ArrivalMap
+from services.arrival.sight import HIDDEN, MEANINGS, Sight, sight_of
 
 Floats = NDArray[np.float64]
 
@@ -49,45 +49,65 @@ def _seconds(hours: Floats, reference: pd.Timestamp, long_name: str, *, duration
     return variable
 
 
+def _flags(values: NDArray[np.unsignedinteger], meanings: str, long_name: str) -> xr.Variable:
+    codes = np.arange(len(meanings.split()), dtype=np.int8)
+    attributes = {"long_name": long_name, "grid_mapping": "crs", "flag_values": codes, "flag_meanings": meanings}
+    return xr.Variable(("y", "x"), values.astype(np.int8), attributes)
+
+
+def _probability(values: Floats, long_name: str) -> xr.Variable:
+    attributes = {"long_name": long_name, "units": "1", "grid_mapping": "crs"}
+    return xr.Variable(("y", "x"), values.astype(np.float32), attributes)
+
+
+def _known(sight: Sight, reference: pd.Timestamp) -> dict[str, xr.Variable]:
+    """The contract's `information` and `latest_observation`, and the finer state that tells cloud from no pass."""
+    information = np.maximum(sight.state, HIDDEN) - HIDDEN  # no pass and hidden are both "not seen"
+    return {
+        "information": _flags(
+            information, "not_seen no_fire_seen fire_seen", "what was known of the cell by the end of the period"
+        ),
+        "look_state": _flags(
+            sight.state,
+            " ".join(MEANINGS),
+            "whether the cell was passed over, hidden, or seen, by the end of the period",
+        ),
+        "latest_observation": _seconds(sight.clear_h, reference, "time of the latest look that saw the cell"),
+        "latest_hidden_pass": _seconds(
+            sight.hidden_h, reference, "time of the latest pass over the cell that cloud, water or glint hid"
+        ),
+    }
+
+
 def to_dataset(
-    arrival: ArrivalMap, reference: pd.Timestamp, incident_id: str, attributes: Mapping[str, Any]
+    arrival: ArrivalMap,
+    reference: pd.Timestamp,
+    incident_id: str,
+    attributes: Mapping[str, Any],
+    sight: Sight | None = None,
+    front24: Floats | None = None,
 ) -> xr.Dataset:
     """Dataset of the fire_arrival contract; times are float64 seconds since `reference_time`, unburned and unseen
-    cells NaN."""
-    evidence = arrival.evidence
-    information = xr.Variable(
-        ("y", "x"),
-        evidence.information.astype(np.int8),
-        {
-            "long_name": "what was known of the cell by the end of the period",
-            "grid_mapping": "crs",
-            "flag_values": np.array([0, 1, 2], np.int8),
-            "flag_meanings": "not_seen no_fire_seen fire_seen",
-        },
-    )
-    probability = xr.Variable(
-        ("y", "x"),
-        arrival.burned_probability.astype(np.float32),
-        {
-            "long_name": "probability that the cell had burned by the end of the period",
-            "units": "1",
-            "grid_mapping": "crs",
-        },
-    )
-    latest = np.where(evidence.information == NOT_SEEN, np.nan, evidence.latest_h)
-    variables = {
-        "fire_arrival_time": _seconds(arrival.arrival_h, reference, "time of fire arrival"),
-        "fire_arrival_time_sd": _seconds(
-            arrival.sd_h, reference, "standard deviation of the time of fire arrival", duration=True
-        ),
-        "fire_arrival_time_q05": _seconds(arrival.q05_h, reference, "5 % quantile of the time of fire arrival"),
-        "fire_arrival_time_q50": _seconds(arrival.arrival_h, reference, "50 % quantile of the time of fire arrival"),
-        "fire_arrival_time_q95": _seconds(arrival.q95_h, reference, "95 % quantile of the time of fire arrival"),
-        "burned_probability": probability,
-        "information": information,
-        "latest_observation": _seconds(latest, reference, "time of the latest look that covered the cell"),
-        "crs": _crs_variable(arrival.grid),
+    cells NaN. `front24` is the probability that the fire arrives within the 24 h after the end of the period."""
+    times = {
+        "fire_arrival_time": (arrival.arrival_h, "time of fire arrival"),
+        "fire_arrival_time_q05": (arrival.q05_h, "5 % quantile of the time of fire arrival"),
+        "fire_arrival_time_q50": (arrival.arrival_h, "50 % quantile of the time of fire arrival"),
+        "fire_arrival_time_q95": (arrival.q95_h, "95 % quantile of the time of fire arrival"),
     }
+    variables = {name: _seconds(hours, reference, text) for name, (hours, text) in times.items()}
+    variables["fire_arrival_time_sd"] = _seconds(
+        arrival.sd_h, reference, "standard deviation of the time of fire arrival", duration=True
+    )
+    variables["burned_probability"] = _probability(
+        arrival.burned_probability, "probability that the cell had burned by the end of the period"
+    )
+    variables |= _known(sight if sight is not None else sight_of(arrival), reference)
+    if front24 is not None:
+        variables["front24_probability"] = _probability(
+            front24, "probability that the fire arrives within the 24 h after the end of the period"
+        )
+    variables["crs"] = _crs_variable(arrival.grid)
     own = {
         "incident_id": incident_id,
         "reference_time": iso(reference),

@@ -20,6 +20,8 @@ SURFACE_TO_VOLUME_FT, EXTINCTION = 1500.0, 0.25
 # Wind at mid-flame height over wind at 10 m for partly sheltered fuel (Andrews 2012, RMRS-GTR-266).
 MIDFLAME = 0.3
 FEET_PER_MINUTE = 196.85  # of a metre a second
+NAMES = ("temperature_c", "relative_humidity_pct", "wind_speed_m_s", "wind_direction_deg")
+REACH_KM = 100.0
 Floats = NDArray[np.float64]
 
 
@@ -88,6 +90,28 @@ def run_by_direction(weather: HourlyWeather, angle_rad: Floats) -> Floats:
     return np.asarray(run.reshape(np.shape(angle_rad)))
 
 
+def weather_in(
+    table: pd.DataFrame, longitude_deg: float, latitude_deg: float, reference: pd.Timestamp, end: pd.Timestamp
+) -> HourlyWeather:
+    """Weather of the point of a weather table (contract columns) nearest to a place, of rows issued by `end`. Raises
+    DomainError where none lies within 100 km or none was issued by then."""
+    known = table[(table["issued_at"] <= end) & table[list(NAMES)].notna().all(axis=1)]
+    lon, lat = known.geometry.x.to_numpy(float), known.geometry.y.to_numpy(float)
+    east = ((lon - longitude_deg + 180.0) % 360.0 - 180.0) * np.cos(np.radians(latitude_deg))
+    distance_km = 111.2 * np.hypot(east, lat - latitude_deg)
+    if len(known) == 0 or distance_km.min() > REACH_KM:
+        raise DomainError(
+            "no weather point near the fire was issued by the end of the period",
+            field="weather",
+            value=f"{latitude_deg:.2f} N, {longitude_deg:.2f} E",
+            accepted=f"a point within {REACH_KM:g} km with issued_at up to {end}",
+        )
+    chosen = known[distance_km <= distance_km.min() + 1e-6].sort_values(["time", "issued_at"])
+    chosen = chosen.drop_duplicates("time", keep="last")  # of several forecasts of an hour the latest
+    hours = (chosen["time"] - reference).dt.total_seconds().to_numpy(float) / 3600.0
+    return HourlyWeather(hours, *(chosen[name].to_numpy(float) for name in NAMES))
+
+
 def weather_at(
     dataset: xr.Dataset, longitude_deg: float, latitude_deg: float, reference: pd.Timestamp, end: pd.Timestamp
 ) -> HourlyWeather:
@@ -107,8 +131,7 @@ def weather_at(
     point = dataset.isel(latitude=row, longitude=column)
     issued = pd.to_datetime(point["issued_at"].to_numpy(), utc=True)
     times = pd.to_datetime(point["time"].to_numpy(), utc=True)
-    names = ("temperature_c", "relative_humidity_pct", "wind_speed_m_s", "wind_direction_deg")
-    values = [point[name].to_numpy().astype(float) for name in names]
+    values = [point[name].to_numpy().astype(float) for name in NAMES]
     known = np.asarray(issued <= end) & np.isfinite(values).all(axis=0)
     if not known.any():
         raise DomainError(

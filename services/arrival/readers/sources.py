@@ -31,7 +31,8 @@ class Reading:
     report: dict[str, object]
 
 
-def _kind(path: Path, name: str) -> str:
+def file_kind(path: Path, name: str) -> str:
+    """table, granule, firms or hms, by the file's content; DomainError for anything else."""
     head = path.read_bytes()[:4096] if path.is_file() else b""
     if head[:4] == b"PAR1":
         import pyarrow.parquet as pq
@@ -53,7 +54,7 @@ def read_active_fire(path: str | Path, areas: Sequence[Area], name: str | None =
     """Read one file of any accepted format; granules and point lists are cut to the areas (degrees), a detections
     table is taken as it is. Raises DomainError for another file, naming it and what is accepted."""
     path, label = Path(path), name or Path(path).name
-    kind = _kind(path, label)
+    kind = file_kind(path, label)
     if kind == "table":
         frame = read_table(path, DETECTIONS)
         report = {"name": label, "format": "detections table", "rows": len(frame)}

@@ -49,6 +49,7 @@ def _stage(root: Path, **tables_changed: gpd.GeoDataFrame) -> dict[str, Any]:
         "end": FIRES[0].end.isoformat(),
         "epochs": 15,
         "ensemble": 2,
+        "formats": [],
     }
 
 
@@ -64,7 +65,7 @@ def _file(reference: dict[str, Any]) -> Path:
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return _run(tmp_path_factory.mktemp("first"))
+    return _run(tmp_path_factory.mktemp("first"), formats=["pictures", "animation", "geotiff", "kml", "wrfxweb"])
 
 
 def _truth_at(fire: SyntheticFire, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
@@ -130,8 +131,10 @@ def test_maps_are_png_and_report_counts_add_up(outputs: dict[str, Any]) -> None:
 
 
 def test_the_same_inputs_give_the_same_bytes(outputs: dict[str, Any], tmp_path: Path) -> None:
-    again = _run(tmp_path)
-    for name in ("fire_arrival", "maps"):
+    again = _run(tmp_path, formats=["pictures", "animation", "geotiff", "kml", "wrfxweb"])
+    kinds = ("fire_arrival", "maps", "information_maps", "front_maps", "animations", "geotiffs", "isochrones_kml")
+    for name in kinds:
+        assert len(again[name]) == (4 if name == "geotiffs" else 2)
         assert [ref["sha256"] for ref in again[name]] == [ref["sha256"] for ref in outputs[name]], name
     assert again["isochrones"]["sha256"] == outputs["isochrones"]["sha256"]
 
