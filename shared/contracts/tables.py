@@ -11,8 +11,8 @@ STATIONS = TableSchema(
     (
         Column("station", "string"),
         Column("latitude_deg", "float64", minimum=-90, maximum=90),
-        Column("longitude_deg", "float64", minimum=-180, maximum=180),
-        Column("height_m", "float64", minimum=-500, maximum=9000),
+        Column("longitude_deg", "float64", minimum=-180, maximum=360),
+        Column("height_m", "float64", minimum=-500, maximum=20000),
         Column("mask_deg", "float64", minimum=0, maximum=90),
         Column("datum", "string", values=("geodetic", "spherical")),
         Column("up", "string", required=False, nullable=True, values=("geodetic", "spherical")),

@@ -69,7 +69,10 @@ class Station:
 
 
 def stations_from(rows: Iterable[Mapping[str, Any]]) -> list[Station]:
-    """Stations from the rows of a stations table; DomainError naming the row of one that makes none."""
+    """Stations from the rows of a stations table, longitudes 0 to 360 as -180 to 180.
+
+    DomainError naming the row of one that makes none.
+    """
     found: list[Station] = []
     for number, row in enumerate(rows):
         mask = row.get("azimuth_mask")
@@ -78,7 +81,7 @@ def stations_from(rows: Iterable[Mapping[str, Any]]) -> list[Station]:
                 Station(
                     row["station"],
                     row["latitude_deg"],
-                    row["longitude_deg"],
+                    row["longitude_deg"] - 360.0 * (row["longitude_deg"] > 180.0),
                     row["height_m"],
                     row["mask_deg"],
                     row["datum"],
