@@ -157,7 +157,7 @@ def test_an_ephemeris_ages_from_its_making() -> None:
 
 def test_the_position_error_is_stated_where_it_was_measured() -> None:
     gps = name_transmitters(read_orbits(TRANSMITTERS), START)[0][0]
-    assert expected_error_km(gps, START) == expected_error_km(gps, START + timedelta(days=2))
+    assert expected_error_km(gps, START) == expected_error_km(gps, START + timedelta(days=1))
     assert expected_error_km(gps, START + timedelta(days=20)) is None
     assert expected_error_km(read_orbits(RECEIVERS)[0], START) is None
 
