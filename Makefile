@@ -12,7 +12,7 @@ READY = $(VENV)/.ready-$(shell cat requirements.lock pyproject.toml | cksum | cu
 export OMP_WAIT_POLICY = PASSIVE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
+.PHONY: help setup demo serve test lint bench up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
 
 help: ## this list
 	@grep -hE '^[a-z%-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -47,6 +47,9 @@ $(SERVICES:%=bench-%): bench-%: $(READY)
 
 $(SERVICES:%=bench-%-long): bench-%-long: $(READY)
 	@$(PY) -m tests.bench.bench_$* --long
+
+serve: $(READY) ## daily cycles and hourly ratings of CASE on their schedules, until it is ended
+	@$(PY) -m flows.commands serve --case $(CASE) --root $(ROOT)
 
 up: ## the services in containers (docker compose)
 	docker compose up --build

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from flows.cases.bundle import Case
 from flows.catalogue import write_catalogue
 from flows.comparison import compare_cycles, local_file, read_reference
 from flows.cycle import PrefectRunner, close_stale_runs, run_as_flow
-from flows.desk.approval import AwaitingApproval, Desk, NobodyDecides
+from flows.desk.approval import CyclePaused, Desk, NobodyDecides
 from flows.loop import run_cycle
 from flows.loop_types import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
 from flows.profiles import Profile
@@ -38,7 +38,7 @@ class CaseResult:
     perimeters: list[Mapping[str, Any]]
     shown: list[Path]
     stale_runs: int
-    awaiting: AwaitingApproval | None = None
+    paused: CyclePaused | None = None
 
 
 @dataclass
@@ -51,6 +51,7 @@ class _CaseRun:
     display: Display
     profile: Profile
     desk: Desk
+    now: datetime | None
     made: list[dict[str, Any]]
 
     def runner(self, part: str) -> DirectRunner:
@@ -71,17 +72,19 @@ def run_case(
     display: Display,
     profile: Profile,
     feedback: frozenset[str],
-    cycles: int,
+    numbers: Sequence[int],
     *,
     again_plain: bool,
     desk: Desk,
+    now: datetime | None = None,
 ) -> CaseResult:
-    """Import, calibrate, run the cycles in order, compare with no feedback, score, write the catalogue.
+    """Import, calibrate, run the cycles of these numbers, compare with no feedback, score, write the catalogue.
 
-    The cycles end before one whose plan the ``desk`` has not approved; the result says which.
+    The cycles end where one can go no further yet: its plan is not approved by the ``desk``, or it is not over ``now``
+    (where that is given). The result says which.
     """
     stale = close_stale_runs()
-    run = _CaseRun(case, store, urls, display, profile, desk, [])
+    run = _CaseRun(case, store, urls, display, profile, desk, now, [])
     settings = profile.settings
     inputs = run.as_flow(BUNDLE, lambda runner: import_into_store(runner, case))
     inputs = run.as_flow(
@@ -90,22 +93,22 @@ def run_case(
     )
     done: list[CycleProducts] = []
     before = Handover()
-    awaiting: AwaitingApproval | None = None
-    for number in range(1, cycles + 1):
+    paused: CyclePaused | None = None
+    for number in numbers:
         last = _cycle(run, inputs, number, before, feedback, cycle_label(_cutoff(case, number, settings)))
-        if isinstance(last, AwaitingApproval):
-            awaiting = last
+        if isinstance(last, CyclePaused):
+            paused = last
             break
         done.append(last)
-        if number < cycles:
+        if number != numbers[-1]:
             before = last.handover
     if not done:
-        return CaseResult([], {}, [], [], stale, awaiting)
-    again_plain = again_plain and awaiting is None
+        return CaseResult([], {}, [], [], stale, paused)
+    again_plain = again_plain and paused is None
     changes: Mapping[str, Any] = {}
-    if again_plain and cycles > 1:
+    if again_plain and len(numbers) > 1:
         without = replace(run, desk=NobodyDecides())
-        plain = _cycle(without, inputs, cycles, before, frozenset(), f"{done[-1].label}-{PLAIN}")
+        plain = _cycle(without, inputs, numbers[-1], before, frozenset(), f"{done[-1].label}-{PLAIN}")
         assert isinstance(plain, CycleProducts)
         changes = compare_cycles(done[-1].steps, plain.steps)
     perimeters = _perimeter_scores(run, inputs) if "perimeters" in inputs.inputs else []
@@ -114,7 +117,7 @@ def run_case(
     shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
     last_maps = [perimeters[-1]["map"]] if perimeters else done[-1].steps["infer-fire-arrival"]["maps"]
     shown += [local_file(reference) for reference in last_maps]
-    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, awaiting)
+    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, paused)
 
 
 def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
@@ -123,18 +126,18 @@ def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
 
 def _cycle(
     run: _CaseRun, inputs: CaseInputs, number: int, before: Handover, feedback: frozenset[str], part: str
-) -> CycleProducts | AwaitingApproval:
+) -> CycleProducts | CyclePaused:
     settings = run.profile.settings
     cutoff = _cutoff(run.case, number, settings)
 
-    def whole(runner: PrefectRunner) -> CycleProducts | AwaitingApproval:
+    def whole(runner: PrefectRunner) -> CycleProducts | CyclePaused:
         try:
-            products = run_cycle(runner, inputs, cutoff, before, feedback, settings, run.desk)
-        except AwaitingApproval as draft:  # no failure: the run ends, and another goes on after the approval
-            return draft
+            products = run_cycle(runner, inputs, cutoff, before, feedback, settings, run.desk, run.now)
+        except CyclePaused as paused:  # no failure: the run ends here, and another goes on
+            return paused
         return replace(products, steps={**products.steps, **_publish(runner, run.case, inputs, products)})
 
-    finished: CycleProducts | AwaitingApproval = run.as_flow(part, whole)
+    finished: CycleProducts | CyclePaused = run.as_flow(part, whole)
     return finished
 
 

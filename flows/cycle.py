@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from prefect import flow, task
 from prefect.cache_policies import NO_CACHE
 from prefect.client.orchestration import get_client
-from prefect.client.schemas.filters import FlowRunFilter, FlowRunFilterState, FlowRunFilterStateType
+from prefect.client.schemas.filters import (
+    FlowFilter,
+    FlowFilterName,
+    FlowRunFilter,
+    FlowRunFilterState,
+    FlowRunFilterStateType,
+)
 from prefect.client.schemas.objects import StateType
 from prefect.states import Crashed
 
@@ -18,7 +24,8 @@ from shared.errors import JobFailedError
 from shared.process import Process
 
 _RETRIES = 2
-_UNFINISHED = [StateType.RUNNING, StateType.PENDING, StateType.SCHEDULED]
+_UNFINISHED = [StateType.RUNNING, StateType.PENDING]
+CYCLE = "cycle"
 
 
 class PrefectRunner:
@@ -36,7 +43,7 @@ class PrefectRunner:
 
 def run_as_flow(name: str, run: Callable[[], Any]) -> Any:
     """Run a function as one flow run; its tasks are those of a PrefectRunner used inside."""
-    return flow(name="cycle", flow_run_name=name, persist_result=False, validate_parameters=False)(run)()
+    return flow(name=CYCLE, flow_run_name=name, persist_result=False, validate_parameters=False)(run)()
 
 
 def _as_task(name: str, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -64,14 +71,16 @@ def _worth_retrying(_: Any, __: Any, state: Any) -> bool:
     return False
 
 
-def close_stale_runs() -> int:
-    """Mark as crashed every flow run that a killed predecessor left unfinished; how many there were.
+def close_stale_runs(flows: Sequence[str] = (CYCLE,)) -> int:
+    """Mark as crashed every run of these flows that a killed predecessor left unfinished; how many there were.
 
-    Only one loop works on an artifact root at a time (it holds the root's lock), so none of them can be alive.
+    Only one loop works on an artifact root at a time (it holds the root's lock), so none of them can be alive. Runs
+    that are merely scheduled are left alone.
     """
     states = FlowRunFilterState(type=FlowRunFilterStateType(any_=_UNFINISHED))
+    named = FlowFilter(name=FlowFilterName(any_=list(flows)))
     with get_client(sync_client=True) as client:
-        runs = client.read_flow_runs(flow_run_filter=FlowRunFilter(state=states))
+        runs = client.read_flow_runs(flow_filter=named, flow_run_filter=FlowRunFilter(state=states))
         for run in runs:
             message = "The process of this run was killed; its finished steps are in the store."
             client.set_flow_run_state(run.id, Crashed(message=message), force=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 
 from flows.cases.bundle import Case, read_case
-from flows.desk.approval import PeopleDecide
+from flows.desk.approval import AwaitingApproval, PeopleDecide
 from flows.display import ConsoleDisplay, comparison_table, cycle_table, perimeter_table
 from flows.loop_types import FEEDBACKS
 from flows.prefect_server import running_prefect_server
@@ -110,16 +110,16 @@ def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str
     store = open_store(options.root, case.folder)
     feedback = frozenset(FEEDBACKS) - frozenset(options.without)
     chosen = profile_of(options.case, options.cycle_hours)
-    cycles = options.cycles or case.cycles
+    numbers = range(1, (options.cycles or case.cycles) + 1)
     desk = PeopleDecide.of_case(options.root, case.name, automatic=options.approve)
     again_plain = not options.plain
     result = run_case(
-        case, store, options.root, urls, display, chosen, feedback, cycles, again_plain=again_plain, desk=desk
+        case, store, options.root, urls, display, chosen, feedback, numbers, again_plain=again_plain, desk=desk
     )
     if result.stale_runs:
         console.print(f"Closed {result.stale_runs} flow run(s) that an earlier, killed run had left open.")
-    if result.awaiting:
-        console.print(f"{result.awaiting} Look at it, decide ('smokeglint approve --help'), and run this again.")
+    if isinstance(result.paused, AwaitingApproval):
+        console.print(f"{result.paused} Look at it, decide ('smokeglint approve --help'), and run this again.")
     if not result.cycles:
         return
     console.print()
@@ -183,14 +183,22 @@ def real_data() -> Path:
 
 
 @contextmanager
-def only_run(root: Path) -> Iterator[None]:
-    """Hold the root's lock, which the system frees even if this process is killed; DomainError if another holds it."""
+def only_run(root: Path, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold the root's lock, which the system frees even if this process is killed.
+
+    DomainError if another still holds it after ``wait_s``.
+    """
     root.mkdir(parents=True, exist_ok=True)
+    deadline = time.monotonic() + wait_s
     with (root / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DomainError(f"Another run works on {root}; wait for it or take another --root.") from error
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError as error:
+                if time.monotonic() >= deadline:
+                    raise DomainError(f"Another run works on {root}; wait for it or take another --root.") from error
+                time.sleep(0.5)
         yield
 
 

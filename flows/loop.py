@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from datetime import datetime, timedelta
 from typing import Any
 
-from flows.desk.approval import Desk, NobodyDecides
+from flows.desk.approval import CycleUnderWay, Desk, NobodyDecides
 from flows.loop_types import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
 from flows.runner import Runner
 from flows.stages import decide, observe, plan, prioritise, understand
@@ -26,10 +26,12 @@ def run_cycle(
     feedback: frozenset[str],
     settings: LoopSettings,
     desk: Desk | None = None,
+    now: datetime | None = None,
 ) -> CycleProducts:
     """One cycle. Of ``before``, the earlier cycle's handover, only the named feedbacks enter the plan.
 
-    AwaitingApproval: the plan is made, and the ``desk`` has yet to approve it.
+    ``now`` is the time it is, where the cycle is live; without it the cycle lies in the past and is run whole.
+    AwaitingApproval: the plan is made, and the ``desk`` has yet to approve it. CycleUnderWay: it is not over ``now``.
     """
     people = desk or NobodyDecides()
     end = cutoff + timedelta(hours=settings.cycle_hours)
@@ -38,6 +40,8 @@ def run_cycle(
     steps.update(prioritise(runner, case, cutoff, given, feedback, settings))
     steps.update(decide(runner, people, cycle_label(cutoff), steps))
     steps.update(plan(runner, case, cutoff, given, steps, settings, people))
+    if now is not None and now < end:
+        raise CycleUnderWay(cycle_label(cutoff), end)
     steps.update(observe(runner, case, before, steps, settings))
     steps.update(understand(runner, case, end, before, steps, settings))
     return CycleProducts(cycle_label(cutoff), cutoff, end, steps, handover(before, steps, settings))

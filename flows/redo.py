@@ -8,6 +8,7 @@ from flows.desk.standing import case_folder
 from shared.artifacts.manifest import MANIFEST
 from shared.errors import DomainError
 
+CYCLE = r"\d{8}T\d{4}Z"  # the label of a cycle: its cut-off
 # The order in which a cycle runs them.
 CYCLE_STEPS = (
     "assemble-inputs",
@@ -15,7 +16,7 @@ CYCLE_STEPS = (
     "rate-active-fires",
     "rate-prefire-danger",
     "build-targets",
-    "apply-decisions",
+    "apply-decisions",  # only where people decided something
     "predict-access",
     "set-horizon",
     "plan-observations",

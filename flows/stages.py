@@ -24,17 +24,9 @@ def prioritise(
 ) -> dict[str, Mapping[str, Any]]:
     """What is known at the cut-off, rated, and turned into targets on one reward scale."""
     at = cutoff.isoformat()
-    known = runner.local(ASSEMBLE_INPUTS, {"cutoff": at, **{name: case.inputs.get(name) for name in KNOWN_INPUTS}})
-    fuel = runner.service("prioritization", "forecast-fuel-moisture", {"weather": known["weather"], "time": at})
-    moisture = fuel["fuel_moisture"]
-    rated = {
-        "incidents": known["incidents"],
-        "weather": known["weather"],
-        "fuels": case.inputs["fuels"],
-        "fuel_moisture": moisture,
-        "time": at,
-    }
-    ratings = runner.service("prioritization", "rate-active-fires", rated)
+    rated = rate_active(runner, case, cutoff)
+    known, ratings = rated["assemble-inputs"], rated["rate-active-fires"]
+    moisture = rated["forecast-fuel-moisture"]["fuel_moisture"]
     burned = list(given.burned_area)
     danger = runner.service(
         "prioritization",
@@ -65,13 +57,23 @@ def prioritise(
             **settings.targets,
         },
     )
-    return {
-        "assemble-inputs": known,
-        "forecast-fuel-moisture": fuel,
-        "rate-active-fires": ratings,
-        "rate-prefire-danger": danger,
-        "build-targets": targets,
+    return {**rated, "rate-prefire-danger": danger, "build-targets": targets}
+
+
+def rate_active(runner: Runner, case: CaseInputs, at: datetime) -> dict[str, Mapping[str, Any]]:
+    """What is known at a moment, and the ratings of the fires that are known."""
+    time = at.isoformat()
+    known = runner.local(ASSEMBLE_INPUTS, {"cutoff": time, **{name: case.inputs.get(name) for name in KNOWN_INPUTS}})
+    fuel = runner.service("prioritization", "forecast-fuel-moisture", {"weather": known["weather"], "time": time})
+    given = {
+        "incidents": known["incidents"],
+        "weather": known["weather"],
+        "fuels": case.inputs["fuels"],
+        "fuel_moisture": fuel["fuel_moisture"],
+        "time": time,
     }
+    ratings = runner.service("prioritization", "rate-active-fires", given)
+    return {"assemble-inputs": known, "forecast-fuel-moisture": fuel, "rate-active-fires": ratings}
 
 
 def decide(

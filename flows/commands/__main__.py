@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
-from flows.commands import cases, deciding, keys, products, running
+from flows.commands import cases, deciding, keys, products, running, serving
 from shared.errors import SmokeglintError
 
 app = typer.Typer(
@@ -19,6 +19,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("run")(running.run)
+app.command("serve")(serving.serve)
 app.command("status")(products.status)
 app.command("products")(products.products)
 app.command("approve")(deciding.approve)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,12 +13,13 @@ from rich.table import Table
 
 from flows.commands.options import CaseName, Root
 from flows.desk.standing import case_folder
-from flows.redo import CYCLE_STEPS
+from flows.redo import CYCLE, CYCLE_STEPS
 from shared.artifacts.manifest import Manifest
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
 
-_PLAIN = "-no-feedback"
+# What every cycle goes through; decisions of people are a step only where there are some.
+_EXPECTED = tuple(step for step in CYCLE_STEPS if step != "apply-decisions")
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document, for programs")]
 
 
@@ -34,7 +36,7 @@ def status(case: CaseName, root: Root = Path("artifacts"), as_json: AsJson = Fal
         return
     table = Table("cycle (cut-off, UTC)", "steps done", "next", "oldest input", "simulated")
     for row in rows:
-        done = f"{row['done']} of {len(CYCLE_STEPS)}"
+        done = f"{row['done']} of {len(_EXPECTED)}"
         table.add_row(
             row["cycle"], done, row["next"] or "–", row["oldest_input"], f"{100 * row['simulated_share']:.0f} %"
         )
@@ -44,18 +46,18 @@ def status(case: CaseName, root: Root = Path("artifacts"), as_json: AsJson = Fal
 def _by_cycle(found: list[Manifest]) -> list[tuple[str, list[Manifest]]]:
     cycles: dict[str, list[Manifest]] = {}
     for manifest in found:
-        if "T" in manifest.cycle and not manifest.cycle.endswith(_PLAIN):
+        if re.fullmatch(CYCLE, manifest.cycle):
             cycles.setdefault(manifest.cycle, []).append(manifest)
     return sorted(cycles.items())
 
 
 def _standing(cycle: str, found: list[Manifest]) -> dict[str, Any]:
     done = {manifest.product.process for manifest in found}
-    waiting = [step for step in CYCLE_STEPS if step not in done]
+    waiting = [step for step in _EXPECTED if step not in done]
     oldest = sorted(manifest.product.oldest_input for manifest in found if manifest.product.oldest_input)
     return {
         "cycle": cycle,
-        "done": len(CYCLE_STEPS) - len(waiting),
+        "done": len(_EXPECTED) - len(waiting),
         "next": waiting[0] if waiting else "",
         "oldest_input": oldest[0] if oldest else "",
         "simulated_share": max(manifest.product.simulated_share for manifest in found),

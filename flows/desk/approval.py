@@ -11,13 +11,27 @@ from typing import Any, Protocol
 from flows.desk.decisions import Decision, DecisionLog, additions, target_changes, verdict_on
 
 
-class AwaitingApproval(Exception):
+class CyclePaused(Exception):
+    """A cycle that can go no further yet; the loop goes on when it is run again."""
+
+    def __init__(self, cycle: str, text: str) -> None:
+        super().__init__(text)
+        self.cycle = cycle
+
+
+class CycleUnderWay(CyclePaused):
+    """The plan is on board and being executed: what it brings is there at the end of the cycle."""
+
+    def __init__(self, cycle: str, end: datetime) -> None:
+        super().__init__(cycle, f"Cycle {cycle} is being executed until {end:%Y-%m-%d %H:%M} UTC.")
+
+
+class AwaitingApproval(CyclePaused):
     """The plan of a cycle is a draft; the loop goes on when it is run again after an approval."""
 
     def __init__(self, cycle: str, schedule: Mapping[str, Any], rejected: Decision | None = None) -> None:
         state = f"was rejected by {rejected.who} ({rejected.why})" if rejected else "awaits approval"
-        super().__init__(f"The plan of cycle {cycle} {state}.")
-        self.cycle = cycle
+        super().__init__(cycle, f"The plan of cycle {cycle} {state}.")
         self.schedule = schedule
         self.rejected = rejected
 

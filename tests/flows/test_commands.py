@@ -45,7 +45,7 @@ def root(tmp_path: Path) -> Path:
 def test_status_says_where_each_cycle_stands(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["status", "--case", "tiny", "--root", str(root), "--json"]) == 0
     first, second = json.loads(capsys.readouterr().out)
-    assert (first["cycle"], first["done"], first["next"]) == (FIRST, len(CYCLE_STEPS), "")
+    assert (first["cycle"], first["done"], first["next"]) == (FIRST, len(CYCLE_STEPS) - 1, "")
     assert (second["cycle"], second["next"]) == (SECOND, "plan-observations")
     assert (first["oldest_input"], first["simulated_share"]) == ("2025-08-31T00:00:00Z", 0.5)
 

@@ -1,0 +1,1 @@
+"""The loop left running: daily cycles and hourly ratings on a schedule, without anybody watching."""

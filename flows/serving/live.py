@@ -1,0 +1,104 @@
+"""One turn of the loop as it runs by itself: what is due now is run, what is finished is answered from the store."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from flows.case_store import BUNDLE, import_into_store
+from flows.cases.bundle import Case
+from flows.demo import build_case, named_services, only_run
+from flows.desk.approval import PeopleDecide
+from flows.desk.decisions import DecisionLog
+from flows.desk.standing import plan_standings
+from flows.loop_types import FEEDBACKS, cycle_label
+from flows.profiles import profile_of
+from flows.runner import DirectRunner, StepEvent, open_store
+from flows.services import running_services, wait_until_ready
+from flows.serving.due import Missed, cycles_begun, cycles_to_run, hour_of
+from flows.serving.ratings import rate_hour, ratings_label
+from shared.telemetry import logger
+
+CLOCK = "SMOKEGLINT_CLOCK"  # a fixed time instead of the machine's: for tests, and to go through a past season
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """What an operator sets once. ``services`` names running ones; without it they are started for the turn."""
+
+    case: str
+    root: Path
+    services: str = ""
+    approve: bool = True
+    missed: Missed = "catch-up"
+    cycle_hours: int = 24
+
+
+def now_utc() -> datetime:
+    """The time it is, or the one that the environment sets."""
+    fixed = os.environ.get(CLOCK, "")
+    return datetime.fromisoformat(fixed).astimezone(UTC) if fixed else datetime.now(UTC)
+
+
+def run_due_cycles(settings: LiveSettings, now: datetime) -> str:
+    """Go through the cycles that are due, as far as each can be taken by now; a line says how far that was."""
+    from flows.case_run import run_case  # prefect reads its settings when it is imported
+
+    with only_run(settings.root):
+        case = build_case(settings.case, settings.root)
+        begun = min(cycles_begun(case.first_cutoff, settings.cycle_hours, now), case.cycles)
+        if begun == 0:
+            return f"The first cycle of {case.name} begins at {case.first_cutoff:%Y-%m-%d %H:%M} UTC."
+        numbers = cycles_to_run(begun, _planned(settings, case), settings.missed)
+        with _services(settings) as urls:
+            store = open_store(settings.root, case.folder)
+            profile = profile_of(settings.case, settings.cycle_hours)
+            desk = PeopleDecide.of_case(settings.root, case.name, automatic=settings.approve)
+            feedback = frozenset(FEEDBACKS)
+            given = (case, store, settings.root, urls, _log_step, profile, feedback, numbers)
+            result = run_case(*given, again_plain=False, desk=desk, now=now)
+    last = f"{result.cycles[-1].label} is finished" if result.cycles else "no cycle is finished"
+    return f"{case.name}: {last}. {result.paused or ''}".strip()
+
+
+def rate_now(settings: LiveSettings, now: datetime) -> str:
+    """Rate the active fires known at the hour that has begun."""
+    hour = hour_of(now)
+    with only_run(settings.root, wait_s=1800.0):
+        case = build_case(settings.case, settings.root)
+        with _services(settings) as urls:
+            store = open_store(settings.root, case.folder)
+            bundle = DirectRunner(urls, store, f"{case.name}-{BUNDLE}", _log_step, case.name, BUNDLE)
+            label = ratings_label(hour)
+            runner = DirectRunner(urls, store, f"{case.name}-{label}", _log_step, case.name, label)
+            rated = rate_hour(runner, import_into_store(bundle, case), hour)
+    return f"{case.name}: ratings of {hour:%Y-%m-%d %H:%M} UTC in {rated['ratings']['href']}"
+
+
+def _planned(settings: LiveSettings, case: Case) -> set[int]:
+    """The numbers of the cycles that have a plan."""
+    if not (settings.root / case.name).is_dir():
+        return set()
+    decisions = DecisionLog(settings.root, case.name).all()
+    labels = {standing.cycle for standing in plan_standings(settings.root, case.name, decisions)}
+    numbers = range(1, case.cycles + 1)
+    return {number for number in numbers if cycle_label(case.cutoff(number, settings.cycle_hours)) in labels}
+
+
+@contextmanager
+def _services(settings: LiveSettings) -> Iterator[Mapping[str, str]]:
+    if settings.services:
+        yield named_services(settings.services)
+        return
+    with running_services(settings.root) as urls:
+        wait_until_ready(urls)
+        yield urls
+
+
+def _log_step(event: StepEvent) -> None:
+    if event.done:
+        logger().info("step finished", cycle=event.cycle, process=event.process, seconds=round(event.seconds, 2))
