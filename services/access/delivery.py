@@ -79,18 +79,21 @@ class Delivery:
     def add(self, found: SatelliteAccess) -> None:
         """Write one receiver's tables; its contacts and eclipses are kept."""
         if found.targets is not None and self.targets is not None:
-            self.targets.add(found.targets)
-            self._opportunities.write(self._of_targets.part(found.satellite, found.targets))
+            self.targets.add(found.targets.visits, found.targets.nearest_km)
+            for part in self._of_targets.parts(found.satellite, found.targets):
+                self._opportunities.write(part)
             self.tally.images = self._of_targets.images
             self.tally.robust += _robust(found.targets)
         if found.cells is not None and self.cells is not None:
-            self.cells.add(found.cells)
-            self.tally.cell_opportunities += len(found.cells.row)
-            self.tally.cell_images += len(np.unique(found.cells.time_index))
+            self.cells.add(found.cells.visits, found.cells.nearest_km)
+            self.tally.cell_opportunities += found.cells.count
+            self.tally.cell_images += found.cells.images
             if self._cell_rows is not None:
-                self._cell_rows.write(self._of_cells.part(found.satellite, found.cells))
-        if found.track is not None and self._points is not None:
-            self._points.write(tables.specular_points_part(self.access, found))
+                for part in self._of_cells.parts(found.satellite, found.cells):
+                    self._cell_rows.write(part)
+        if self._points is not None:
+            for points in tables.specular_points_parts(self.access, found):
+                self._points.write(points)
         self.access.satellites.append(replace(found, targets=None, cells=None, track=None))
 
     def close(self) -> None:

@@ -85,6 +85,7 @@ def prepare_access(
     *,
     grid: CellGrid | None = None,
     rolls: Mapping[str, Roll] | None = None,
+    with_cell_rows: bool = True,
 ) -> tuple[Access, list[Task]]:
     """A prediction without its satellites, and the arguments of ``satellite_access`` for each receiver."""
     targets = None
@@ -96,7 +97,8 @@ def prepare_access(
     named, unnamed = name_transmitters(transmitters, middle)
     chosen = choose_constellations(named, options.constellations)
     tx = _prepare(chosen, horizon, options, TRANSMITTER_NODE_S, "transmitters")
-    scene = Scene(tx.ephemerides, stations, targets, cells, _caps(targets, cells, options), horizon, options)
+    caps = _caps(targets, cells, options)
+    scene = Scene(tx.ephemerides, stations, targets, cells, caps, horizon, options, with_cell_rows)
     tasks: list[Task] = [
         (
             ephemeris,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.access.coverage.places import Places
+from services.access.coverage.revisit import Visits, visits
 from services.access.coverage.robustness import AlongTrackError, Geometry, Selection, covered_when_shifted
 from services.access.coverage.search import Coverage, covered
 from services.access.ellipsoid import to_geodetic
@@ -84,6 +85,7 @@ class Scene:
     caps: Sequence[Cap] | None
     horizon: Horizon
     options: AccessOptions
+    with_cell_rows: bool = True
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,13 @@ class Seen:
     """What a receiver's images cover: a row per image and place (input row), in order of time, then place.
 
     Of the point of highest gain that covers it: transmitter's index, incidence, distance, gain. ``ahead``, ``behind``:
-    still covered at that along-track error (km); None where it was not asked for or no error is known.
+    still covered at that along-track error (km); None where it was not asked for or no error is known. ``count`` rows
+    and ``images`` there are, even where the rows were let go.
     """
+
+    count: int
+    images: int
+    visits: Visits
 
     time_index: NDArray[np.int32]
     row: NDArray[np.int32]
@@ -148,7 +155,7 @@ def satellite_access(
     return replace(
         found,
         targets=_targets_seen(used, track, zones, steps, error, roll, scene),
-        cells=None if scene.cells is None else _seen(used, _cover(used, scene.cells, zones, horizon)),
+        cells=_cells_seen(used, zones, scene),
         track=_in_area(track, options.area) if options.with_specular_points else None,
         counts=track.counts,
         worst_angle_deg=float(track.mismatch_deg.max(initial=0.0)),
@@ -162,9 +169,22 @@ def _cover(used: SpecularTrack, places: Places, zones: Footprints | None, horizo
     )  # fmt: skip
 
 
-def _seen(used: SpecularTrack, coverage: Coverage) -> Seen:
+def _cells_seen(used: SpecularTrack, zones: Footprints | None, scene: Scene) -> Seen | None:
+    if scene.cells is None:
+        return None
+    seen = _seen(used, _cover(used, scene.cells, zones, scene.horizon), scene.horizon)
+    if scene.with_cell_rows:
+        return seen
+    empty = {name: value[:0] for name, value in vars(seen).items() if isinstance(value, np.ndarray)}
+    return replace(seen, **(empty | {"nearest_km": seen.nearest_km}))
+
+
+def _seen(used: SpecularTrack, coverage: Coverage, horizon: Horizon) -> Seen:
     point = coverage.point
     return Seen(
+        len(coverage.row),
+        int((np.diff(coverage.time_index, prepend=-1) != 0).sum()),
+        visits(coverage.time_index, coverage.row, horizon.step_s),
         coverage.time_index,
         coverage.row,
         used.transmitter[point].astype(np.int16),
@@ -187,7 +207,7 @@ def _targets_seen(
     if scene.targets is None:
         return None
     coverage = _cover(used, scene.targets, zones, scene.horizon)
-    seen = _seen(used, coverage)
+    seen = _seen(used, coverage, scene.horizon)
     if error is None:
         return seen
     ahead, behind = np.zeros(len(seen.row), dtype=np.bool_), np.zeros(len(seen.row), dtype=np.bool_)
@@ -195,7 +215,7 @@ def _targets_seen(
     with_image[coverage.time_index] = True
     imaged = track.where(with_image[track.time_index])
     for first, last in _chunks(imaged.time_index):
-        part = imaged.where(_span(len(imaged), first, last))
+        part = imaged.where(slice(first, last))
         rows = slice(*np.searchsorted(coverage.time_index, (part.time_index[0], part.time_index[-1] + 1)))
         ahead[rows], behind[rows] = _shifted(part, coverage, rows, steps, error, roll, scene)
     return replace(seen, ahead=ahead, behind=behind, error_km=error.at(seen.time_index * float(scene.horizon.step_s)))
@@ -227,7 +247,7 @@ def _shifted(
 def _zones(used: SpecularTrack, steps: Ephemeris, scene: Scene) -> Footprints:
     shapes = [np.empty((0, 5))]
     for first in range(0, len(used), CHUNK):
-        part = used.where(_span(len(used), first, first + CHUNK))
+        part = used.where(slice(first, first + CHUNK))
         geometry = _geometry(part, steps, scene, None)
         zone = footprints(part.position_m, geometry.receiver, geometry.transmitter, scene.options.surface_height_m)
         shapes.append(zone.shape)
@@ -249,12 +269,6 @@ def _chunks(time_index: NDArray[np.int32]) -> list[tuple[int, int]]:
     starts = np.arange(0, len(time_index), CHUNK)
     edges = [*np.searchsorted(time_index, time_index[starts], side="left").tolist(), len(time_index)]
     return [(first, last) for first, last in itertools.pairwise(edges) if last > first]
-
-
-def _span(count: int, first: int, last: int) -> NDArray[np.bool_]:
-    inside = np.zeros(count, dtype=np.bool_)
-    inside[first:last] = True
-    return inside
 
 
 def _in_area(track: SpecularTrack, area: Area | None) -> SpecularTrack:

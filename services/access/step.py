@@ -84,7 +84,15 @@ def _prepare(
         along_track_error_km=inputs.along_track_error_km,
     )
     access, tasks = prediction.prepare_access(
-        receivers, transmitters, stations, places, horizon, options, grid=_grid(inputs, context), rolls=rolls
+        receivers,
+        transmitters,
+        stations,
+        places,
+        horizon,
+        options,
+        grid=_grid(inputs, context),
+        rolls=rolls,
+        with_cell_rows=inputs.with_cell_opportunities,
     )
     return replace(access, dropped=access.dropped | missing), tasks
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import geopandas
 import numpy as np
@@ -10,11 +10,14 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
+from services.access.coverage.revisit import Visits
 from services.access.ellipsoid import to_geodetic
 from services.access.horizon import Horizon
 from services.access.prediction import Access
 from services.access.satellite import SatelliteAccess, Seen
 from services.access.specular.tracks import PairCounts, SpecularTrack
+
+PART_ROWS = 500_000
 
 
 class OpportunityParts:
@@ -30,60 +33,68 @@ class OpportunityParts:
         self._place_id = place_id
         self.images = 0
 
-    def part(self, satellite: str, seen: Seen) -> pd.DataFrame:
-        """The rows of the next receiver."""
+    def parts(self, satellite: str, seen: Seen) -> Iterator[pd.DataFrame]:
+        """The rows of the next receiver, at most ``PART_ROWS`` at a time."""
         new_image = np.diff(seen.time_index, prepend=-1) != 0
         image = self.images - 1 + np.cumsum(new_image)
         self.images += int(new_image.sum())
-        return self._frame(satellite, seen, image)
+        for first in range(0, len(image), PART_ROWS):
+            rows = slice(first, first + PART_ROWS)
+            yield self._frame(satellite, seen, rows, image[rows])
 
     def empty(self) -> pd.DataFrame:
         """The columns without rows."""
         none = np.zeros(0)
+        flags, index = none.astype(np.bool_), none.astype(np.int32)
         seen = Seen(
-            none.astype(np.int32), none.astype(np.int32), none.astype(np.int16), none, none, none,
-            none.astype(np.float32), none.astype(np.bool_), none.astype(np.bool_), none,
+            0, 0, Visits(index, index, index, index), index, index, none.astype(np.int16), none, none, none,
+            none.astype(np.float32), flags, flags, none,
         )  # fmt: skip
-        return self._frame("", seen, none)
+        return self._frame("", seen, slice(0, 0), index)
 
-    def _frame(self, satellite: str, seen: Seen, image: NDArray[np.int64]) -> pd.DataFrame:
-        count = len(seen.row)
+    def _frame(self, satellite: str, seen: Seen, rows: slice, image: NDArray[np.int64]) -> pd.DataFrame:
+        count = len(image)
+        error = np.full(count, np.nan) if seen.error_km is None else seen.error_km[rows]
         return pd.DataFrame(
             {
                 "image_id": image.astype(np.int32),
                 "satellite": pd.Categorical.from_codes(np.zeros(count, dtype=np.int8), [satellite]),
-                "time": self._horizon.times(seen.time_index),
-                "target_id": self._place_id[seen.row],
-                "transmitter": pd.Categorical.from_codes(seen.transmitter, self._codes),
-                "incidence_deg": seen.incidence_deg,
-                "distance_km": seen.distance_km,
-                "rx_gain_dbi": seen.rx_gain_dbi,
-                "covered_ahead": _known(seen.ahead, count),
-                "covered_behind": _known(seen.behind, count),
-                "along_track_error_km": np.full(count, np.nan) if seen.error_km is None else seen.error_km,
+                "time": self._horizon.times(seen.time_index[rows]),
+                "target_id": self._place_id[seen.row[rows]],
+                "transmitter": pd.Categorical.from_codes(seen.transmitter[rows], self._codes),
+                "incidence_deg": seen.incidence_deg[rows],
+                "distance_km": seen.distance_km[rows],
+                "rx_gain_dbi": seen.rx_gain_dbi[rows],
+                "covered_ahead": _known(seen.ahead, rows, count),
+                "covered_behind": _known(seen.behind, rows, count),
+                "along_track_error_km": error,
             }
         )
 
 
-def _known(flags: NDArray[np.bool_] | None, count: int) -> pd.Series:
+def _known(flags: NDArray[np.bool_] | None, rows: slice, count: int) -> pd.Series:
     if flags is None:
         return pd.Series(pd.NA, index=range(count), dtype="boolean")
-    return pd.Series(flags)
+    return pd.Series(flags[rows])
 
 
 def opportunities_frame(access: Access, target_id: NDArray[np.int64]) -> pd.DataFrame:
     """The opportunities of all receivers at once."""
     parts = OpportunityParts(access, target_id)
-    frames = [parts.part(found.satellite, found.targets) for found in access.satellites if found.targets is not None]
+    seen = [found for found in access.satellites if found.targets is not None]
+    frames = [part for found in seen for part in parts.parts(found.satellite, found.targets)]
     frame = pd.concat([parts.empty(), *frames], ignore_index=True) if frames else parts.empty()
     return frame.astype({"satellite": object, "transmitter": object})
 
 
-def specular_points_part(access: Access, found: SatelliteAccess) -> geopandas.GeoDataFrame:
-    """The specular track of one receiver (contract ``specular_points``) with ``nominal``: one of the channels of
-    highest gain, and ``in_beam``: gain above the antennas' floor."""
-    assert found.track is not None
-    return _points(access, found.track)
+def specular_points_parts(access: Access, found: SatelliteAccess) -> Iterator[geopandas.GeoDataFrame]:
+    """The specular track of one receiver (contract ``specular_points``), at most ``PART_ROWS`` at a time, with
+    ``nominal``: one of the channels of highest gain, and ``in_beam``: gain above the antennas' floor."""
+    track = found.track
+    if track is None:
+        return
+    for first in range(0, len(track), PART_ROWS):
+        yield _points(access, track.where(slice(first, first + PART_ROWS)))
 
 
 def _points(access: Access, track: SpecularTrack) -> geopandas.GeoDataFrame:
@@ -118,9 +129,10 @@ def no_specular_points(access: Access) -> geopandas.GeoDataFrame:
 
 def specular_points_frame(access: Access) -> geopandas.GeoDataFrame:
     """The specular tracks of all receivers at once."""
-    parts = [specular_points_part(access, found) for found in access.satellites if found.track is not None]
-    frame = pd.concat(parts, ignore_index=True).astype({"satellite": object, "transmitter": object})
-    return geopandas.GeoDataFrame(frame, geometry="geometry", crs="EPSG:4326")
+    parts = [part for found in access.satellites for part in specular_points_parts(access, found)]
+    frame = pd.concat([no_specular_points(access), *parts], ignore_index=True)
+    texts = frame.astype({"satellite": object, "transmitter": object})
+    return geopandas.GeoDataFrame(texts, geometry="geometry", crs="EPSG:4326")
 
 
 def contacts_frame(access: Access) -> pd.DataFrame:

@@ -9,7 +9,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.access.horizon import Horizon
-from services.access.satellite import Seen
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -37,10 +36,10 @@ class Revisits:
         self._visits: list[Visits] = []
         self._nearest_km = np.full((horizon.days, count), np.inf, dtype=np.float32)
 
-    def add(self, seen: Seen) -> None:
-        """The images of one receiver."""
-        self._visits.append(visits(seen.time_index, seen.row, self._horizon.step_s))
-        np.minimum(self._nearest_km, seen.nearest_km, out=self._nearest_km)
+    def add(self, stays: Visits, nearest_km: NDArray[np.float32]) -> None:
+        """The visits of one receiver, and how near (days, count) its points came."""
+        self._visits.append(stays)
+        np.minimum(self._nearest_km, nearest_km, out=self._nearest_km)
 
     @property
     def covered(self) -> int:

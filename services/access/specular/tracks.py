@@ -79,7 +79,7 @@ class SpecularTrack:
     def __len__(self) -> int:
         return len(self.time_index)
 
-    def where(self, rows: NDArray[np.bool_]) -> SpecularTrack:
+    def where(self, rows: NDArray[np.bool_] | slice) -> SpecularTrack:
         """The track of these rows only; the counts stay."""
         arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)

@@ -19,7 +19,6 @@ from services.access.coverage.revisit import Revisits, summary, visits
 from services.access.coverage.search import covered
 from services.access.ellipsoid import chord_from_arc_m, to_cartesian, up_vector
 from services.access.horizon import Horizon
-from services.access.satellite import Seen
 from services.access.specular.footprint import Footprints
 from shared.errors import DomainError
 
@@ -181,14 +180,6 @@ def test_land_cells_are_on_land() -> None:
         even_grid(1.0, (-160.0, -10.0, -150.0, 10.0), land_only=True)
 
 
-def _seen(time_index: list[int], row: list[int], count: int, nearest_km: float = np.inf) -> Seen:
-    zeros = np.zeros(len(row))
-    return Seen(
-        np.array(time_index, dtype=np.int32), np.array(row, dtype=np.int32), zeros.astype(np.int16), zeros, zeros,
-        zeros, np.full((1, count), nearest_km, dtype=np.float32),
-    )  # fmt: skip
-
-
 def test_visits_part_where_a_pass_ends() -> None:
     found = visits(np.array([5, 6, 6, 7, 5000, 5001], dtype=np.int32), np.array([0, 0, 1, 0, 0, 1]), 1)
     assert list(zip(found.row, found.start_s, found.end_s, found.images, strict=True)) == [
@@ -199,8 +190,9 @@ def test_visits_part_where_a_pass_ends() -> None:
 def test_gaps_are_between_visits_of_any_receiver_and_to_the_ends() -> None:
     horizon = Horizon(datetime(2024, 7, 1, tzinfo=UTC), 86400, 1)
     gathered = Revisits(3, horizon)
-    gathered.add(_seen([3600, 3601, 50_000], [0, 0, 0], 3, 5.0))
-    gathered.add(_seen([20_000, 49_990, 50_005], [0, 0, 1], 3, 20.0))  # 49,990 touches the other's visit but for 9 s
+    near, far = np.full((1, 3), 5.0, dtype=np.float32), np.full((1, 3), 20.0, dtype=np.float32)
+    gathered.add(visits(np.array([3600, 3601, 50_000]), np.zeros(3, dtype=np.int32), 1), near)
+    gathered.add(visits(np.array([20_000, 49_990, 50_005]), np.array([0, 0, 1]), 1), far)
     frame = gathered.frame()
     assert frame["visits"].tolist() == [4, 1, 0] and frame["images"].tolist() == [5, 1, 0]
     gaps = np.array([20_000 - 3602, 49_990 - 20_001, 9])
@@ -228,8 +220,8 @@ def test_gap_statistics_agree_with_pandas(seed: int) -> None:
         time, row = rng.integers(0, 8640, 40), rng.integers(0, 5, 40)
         order = np.lexsort((row, time))
         pairs = np.unique(np.stack([time[order], row[order]]), axis=1)
-        gathered.add(_seen(pairs[0].tolist(), pairs[1].tolist(), 6))
         part = visits(pairs[0].astype(np.int32), pairs[1].astype(np.int32), 10)
+        gathered.add(part, np.full((1, 6), np.inf, dtype=np.float32))
         stays.append(pd.DataFrame({"row": part.row, "start": part.start_s, "end": part.end_s}))
     frame = gathered.frame()
     for place, rows in pd.concat(stays).sort_values(["row", "start"]).groupby("row"):
