@@ -6,10 +6,13 @@ from dataclasses import asdict, dataclass
 from datetime import timedelta
 from typing import Any
 
+import numpy as np
+
 from services.access.coverage.places import REPORTED_RADII_KM
 from services.access.coverage.revisit import Revisits, summary
-from services.access.coverage.robustness import AT_EPOCH_KM, DRAG_SHARE, PER_DAY_KM
+from services.access.coverage.robustness import AT_EPOCH_KM, DRAG_SHARE, PER_DAY_KM, expected_error
 from services.access.orbits import statement
+from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S
 from services.access.orbits.formats import Orbit
 from services.access.orbits.orientation import orientation_at
 from services.access.orbits.preparation import left_out_warnings, missing_constellations
@@ -38,7 +41,7 @@ def report(
         "start": horizon.start.isoformat(),
         "duration_s": horizon.duration_s,
         "step_s": horizon.step_s,
-        "receivers": [_orbit_row(orbit, access) for orbit in access.receivers],
+        "receivers": [_receiver_row(orbit, access) for orbit in access.receivers],
         "transmitters": [_orbit_row(orbit, access) for orbit in access.transmitters],
         "dropped": access.dropped,
         "warnings": warnings(access),
@@ -93,6 +96,8 @@ def _method(access: Access) -> dict[str, Any]:
     return {
         "propagation": "SGP4; TEME to ITRF by GMST82, UT1 and polar motion of IERS finals2000A; tables by splines "
         "of degree 9",
+        "between_nodes": f"cubic Hermite, nodes of {RECEIVER_NODE_S:g} s (receivers, within 0.05 m) and "
+        f"{TRANSMITTER_NODE_S:g} s (transmitters, within 0.25 m)",
         "min_contact_s": options.min_contact_s,
         "constellations": options.constellations,
         "earth_orientation_in_table": orientation_at(horizon.start, horizon.duration_s).in_table,
@@ -122,6 +127,16 @@ def _along_track(access: Access) -> dict[str, Any]:
 
 def _orbit_row(orbit: Orbit, access: Access) -> dict[str, Any]:
     return statement.orbit_row(orbit, access.horizon.start, access.interpolation_m)
+
+
+def _receiver_row(orbit: Orbit, access: Access) -> dict[str, Any]:
+    """With the along-track error expected at the start and the end, where nothing better is known."""
+    row = _orbit_row(orbit, access)
+    law = expected_error(orbit, access.horizon.start, access.options.along_track_error_km)
+    if row["expected_position_error_km"] is None and law is not None:
+        at_start, at_end = law.at(np.array([0.0, access.horizon.duration_s])).round(2).tolist()
+        row["expected_position_error_km"] = {"along_track_at_start": at_start, "along_track_at_end": at_end}
+    return row
 
 
 def warnings(access: Access) -> list[str]:

@@ -49,15 +49,16 @@ Something = TypeVar("Something", bound=Placed)
 
 
 def within_age(
-    elements: Iterable[ElementSet], start: datetime, max_age_days: float, field: str
+    elements: Iterable[ElementSet], start: datetime, max_age_days: float, field: str, *, others: bool = False
 ) -> tuple[list[ElementSet], dict[str, str]]:
     """The element sets whose epoch lies within ``max_age_days`` of ``start``, and the others: name -> reason.
 
-    Raises DomainError naming the nearest epoch and its line where none is near enough.
+    Raises DomainError naming the nearest epoch and its line where none is near enough, unless there are ``others`` to
+    use.
     """
     every = list(elements)
     near = [element for element in every if abs(element.age_days(start)) <= max_age_days]
-    if every and not near:
+    if every and not near and not others:
         best = min(every, key=lambda element: abs(element.age_days(start)))
         raise DomainError(
             f"{field}: every epoch is far from the start {start:%Y-%m-%dT%H:%M:%SZ}; the nearest, of {best.name} in "

@@ -13,6 +13,8 @@ from services.access.orbits.formats import Orbit
 from services.access.orbits.tabulated import TabulatedOrbit, interpolate
 from shared.errors import DomainError
 
+REASONS_TOLD = 3
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -96,13 +98,15 @@ def prepare(
     """
     sets = [orbit for orbit in orbits if isinstance(orbit, ElementSet)]
     tables = [orbit for orbit in orbits if isinstance(orbit, TabulatedOrbit)]
-    fresh, old = within_age(sets, start, max_age_days, name)
+    fresh, old = within_age(sets, start, max_age_days, name, others=bool(tables))
     propagated, failed = propagate(fresh, start, duration_s, node_s)
     tabulated, uncovered, bounds = interpolate(tables, start, duration_s, node_s)
     states = {ephemeris.name: ephemeris for ephemeris in (*propagated, *tabulated)}
     dropped = old | failed | uncovered
     if not states:
-        reasons = "; ".join(f"{satellite}: {why}" for satellite, why in dropped.items())
+        told = [f"{satellite}: {why}" for satellite, why in dropped.items()]
+        more = [f"and so on for {len(told) - REASONS_TOLD} more"] if len(told) > REASONS_TOLD else []
+        reasons = "; ".join(told[:REASONS_TOLD] + more)
         raise DomainError(
             f"{name}: no satellite can be used over the horizon ({reasons}).",
             field=name,

@@ -28,8 +28,9 @@ POSITION_ERROR_KM = 1e-4
 
 @dataclass
 class _Table:
-    """The positions of one satellite as written, with the line of each."""
+    """The positions of one satellite as written, with the line of each; and the line that names it first."""
 
+    first_line: int
     epoch: list[int] = field(default_factory=list)
     position: list[list[float]] = field(default_factory=list)
     line: list[int] = field(default_factory=list)
@@ -39,9 +40,10 @@ class _Table:
 def read_sp3(text: str, name: str) -> list[TabulatedOrbit]:
     """The orbits of an SP3 file, or of several one after the other, one for each satellite, in ITRF.
 
-    A missing position (all zeros, or no record) begins a new segment: a gap. An epoch repeated where one file ends and
-    the next begins counts once. Raises DomainError naming ``name`` and the line: a broken epoch or position, epochs
-    that do not increase, a satellite twice at one epoch, an unknown time scale.
+    A missing position (all zeros, or no record) begins a new segment: a gap. A satellite without a run of ten positions
+    has no segment. An epoch repeated where one file ends and the next begins counts once. Raises DomainError naming
+    ``name`` and the line: a broken epoch or position, epochs that do not increase, a satellite twice at one epoch, an
+    unknown time scale.
     """
     epochs: list[str] = []
     epoch_lines: list[int] = []
@@ -91,7 +93,7 @@ def _record(tables: dict[str, _Table], line: str, number: int, epoch: int, name:
         position = [float(line[column : column + 14]) * 1000.0 for column in (4, 18, 32)]
     except ValueError as error:
         raise _fault(name, number, "not a position", line) from error
-    table = tables.setdefault(code, _Table())
+    table = tables.setdefault(code, _Table(number))
     if table.epoch and table.epoch[-1] == epoch:
         raise _fault(name, number, f"{code} is given twice at one epoch, first in line {table.line[-1]}", line)
     if not any(position) or not np.all(np.isfinite(position)):
@@ -112,7 +114,9 @@ def _times(epochs: Sequence[str], lines: Sequence[int], scale: str, name: str) -
 
 def _orbit(code: str, table: _Table, times: NDArray[np.datetime64], step_s: float, name: str) -> TabulatedOrbit:
     if not table.epoch:
-        raise DomainError(f"{name}: {code} has no position at any epoch.", field=name, value=code, accepted="positions")
+        return TabulatedOrbit(
+            code, "sp3", None, as_datetime(times[0]), (), f"line {table.first_line}", POSITION_ERROR_KM
+        )
     own = times[table.epoch]
     kept = np.flatnonzero(np.diff(own, prepend=own[0] - np.timedelta64(1, "s")) > np.timedelta64(0, "us"))
     position, line = np.array(table.position)[kept], np.array(table.line)[kept]
@@ -131,13 +135,6 @@ def _orbit(code: str, table: _Table, times: NDArray[np.datetime64], step_s: floa
         )
         for rows in runs
     ]
-    if not segments:
-        raise DomainError(
-            f"{name}: {code} (from line {line[0]}) has no run of {FEWEST_STATES} positions without a gap.",
-            field=name,
-            value=code,
-            accepted=f"at least {FEWEST_STATES} positions in a row",
-        )
     observed = np.flatnonzero(~np.array(table.predicted)[kept])
     known = own[kept][observed[-1]] if len(observed) else own[0]
     where = f"lines {line[0]} to {line[-1]}"

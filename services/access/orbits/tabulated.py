@@ -38,6 +38,8 @@ class Segment:
 class TabulatedOrbit:
     """One satellite's orbit as a table, in segments in order of time; nothing is interpolated from one to the next.
 
+    Without a segment it is of no use, and ``first`` and ``last`` have no meaning.
+
     ``epoch``: the time (UTC) until which the table rests on observations or when it was made; None where not said.
     ``position_error_km``: of the table as its source states it, None where not known.
     """
@@ -95,6 +97,8 @@ def interpolate(
 def _uncovered(orbit: TabulatedOrbit, first_s: float, last_s: float) -> str | None:
     """Why the orbit does not hold from ``first_s`` to ``last_s``; None where it does."""
     segments = orbit.segments
+    if not segments:
+        return f"the file ({orbit.where}) gives it too few positions in a row"
     if first_s < segments[0].first_s - SLACK_S or last_s > segments[-1].last_s + SLACK_S:
         return (
             f"the horizon {_utc(orbit, first_s)} to {_utc(orbit, last_s)} reaches beyond the ephemeris in "

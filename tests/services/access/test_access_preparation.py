@@ -22,6 +22,7 @@ from services.access.orbits.preparation import (
 from services.access.orbits.statement import expected_error_km, orbit_row, orbit_warnings
 from services.access.orbits.tabulated import Segment, TabulatedOrbit, interpolate
 from shared.errors import DomainError
+from tests.services.access.orbit_files import sp3
 from tests.services.access.orbits import RECEIVERS, START, TRANSMITTERS
 from tests.services.access.truth import sp3_orbits
 
@@ -119,6 +120,30 @@ def test_satellites_that_have_come_down_are_left_out() -> None:
     assert "came down on 2022-12-01" in prepared.dropped["CYGFM05"]
     with pytest.raises(DomainError, match=r"no satellite can be used .*CYGFM05: .*came down.*line 2"):
         prepare([down], START, 600.0, 10.0, 30.0, "receivers")
+
+
+def test_old_elements_beside_a_table_are_left_out_not_refused() -> None:
+    start = START + timedelta(days=100)
+    (ephemeris,) = propagate(_sets(RECEIVERS)[:1], start, DAY_S, 60.0)[0]
+    prepared = prepare([_table(ephemeris), _sets(RECEIVERS)[1]], start, 3600.0, 10.0, 30.0, "receivers")
+    assert [orbit.name for orbit in prepared.used] == ["CYGFM05"]
+    assert "100.3 days before the start" in prepared.dropped["CYGFM04"]
+
+
+def test_an_sp3_satellite_without_positions_is_left_out() -> None:
+    orbits, _ = propagate(_sets(TRANSMITTERS)[:2], START, DAY_S, 900.0)
+    positions = {code: orbit.position_m / 1000.0 for code, orbit in zip(("G01", "G02"), orbits, strict=True)}
+    text = sp3(START, orbits[0].times_s, positions, missing={"G02": range(97)})
+    prepared = prepare(read_orbits(text), START, 3600.0, 60.0, 30.0, "transmitters")
+    assert [orbit.name for orbit in prepared.used] == ["G01"]
+    assert prepared.dropped["G02"] == "the file (line 26) gives it too few positions in a row"
+
+
+def test_of_many_reasons_a_few_are_told() -> None:
+    old = START + timedelta(days=1)
+    far = [replace(each, decayed=START) for each in _sets(TRANSMITTERS)]
+    with pytest.raises(DomainError, match="and so on for 7 more"):
+        prepare(far, old, 3600.0, 60.0, 30.0, "transmitters")
 
 
 def test_elements_and_tables_are_used_side_by_side_in_order_of_name() -> None:
