@@ -117,7 +117,7 @@ def weather_at(
 ) -> HourlyWeather:
     """Weather at the grid point nearest to a place, of hours that were issued by `end` (a forecast issued later was
     not known). Raises DomainError where the grid does not reach the place or holds no such hour."""
-    lon, lat = dataset["longitude"].to_numpy(float), dataset["latitude"].to_numpy(float)
+    lon, lat = (dataset[axis].to_numpy().astype(float) for axis in ("longitude", "latitude"))
     off = np.abs((lon - longitude_deg + 180.0) % 360.0 - 180.0)
     column, row = int(off.argmin()), int(np.abs(lat - latitude_deg).argmin())
     step = max(np.abs(np.diff(lon)).max(initial=0.0), np.abs(np.diff(lat)).max(initial=0.0), 0.5)
