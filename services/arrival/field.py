@@ -1,4 +1,9 @@
-"""The improved network method: an ensemble of Fourier-feature fields fitted to the likelihood of every look."""
+"""The default method: a smooth field of arrival times fitted to the likelihood of every look.
+
+Arrival at a steady pace is a first guess from the detections plus a Gaussian field with Matern covariance; a daily
+clock turns it into hours. The most probable field is found by gradient descent on the looks' likelihood, footprint by
+footprint, with the residence time and the detection rate of this fire found along with it.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from services.arrival import likelihood
-from services.arrival.extent import Evidence, supported
+from services.arrival.extent import gather, supported
+from services.arrival.footprints import Footprints, footprints, representative
 from services.arrival.grid import FireGrid
-from services.arrival.looks import GNSSR, Looks
-from services.arrival.network import FieldEnsemble, seeded
+from services.arrival.looks import Ignition, Looks
+from services.arrival.spectral import CosineField, cosine_field, daily
 
 Floats = NDArray[np.float64]
 
@@ -25,251 +31,203 @@ Floats = NDArray[np.float64]
 class FieldSettings:
     """Choices of the fit; lengths in km, times in hours. Tuned on the tuning seeds of the synthetic fires only."""
 
-    members: int = 4
-    steps: int = 500
-    learning_rate: float = 6e-3
+    members: int = 1
+    steps: int = 150
+    learning_rate: float = 0.1
     length_km: float = 4.0
-    softness_h: float = 1.0
-    near_km: float = 4.0
-    far_km: float = 0.6
-    batch: int = 128
-    smoothness: float = 0.05
-    burned_area_weight: float = 0.3
-    detection_weight: float = 0.5
-    ignition_sd_h: float = 3.0
-    clock: bool = True
+    spread_h: float = 14.0
+    softness_h: float = 0.8
+    first_softness_h: float = 4.0
     residence_h: float = 5.5
-
-
-@dataclass(frozen=True)
-class Ignition:
-    """Where (local km; None: unknown) and when (hours) the fire was reported to have started."""
-
-    time_h: float
-    x_km: float | None = None
-    y_km: float | None = None
-
-
-@dataclass(frozen=True)
-class Group:
-    """Looks that enter one term of the loss, as tensors; `rows` (members, m) index what each member may draw."""
-
-    place: Tensor
-    time: Tensor
-    probability: Tensor
-    radius: Tensor
-    source: Tensor
-    rows: Tensor
-
-    def draw(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Places within footprints (members, count, 2) km and the indices drawn."""
-        pick = torch.randint(self.rows.shape[1], (self.rows.shape[0], count), generator=generator)
-        index = self.rows.gather(1, pick)
-        jitter = torch.randn(*index.shape, 2, generator=generator) * (0.5 * self.radius[index]).unsqueeze(2)
-        return self.place[index] + jitter, index
-
-
-def _group(looks: Looks, members: int, generator: torch.Generator, share: float = 0.8) -> Group | None:
-    """A group in which each member sees about `share` of the granules: members then disagree where single passes
-    decide."""
-    if len(looks) == 0:
-        return None
-    granule = np.unique(np.round(looks.time_h, 2), return_inverse=True)[1]
-    rows = []
-    size = 4096
-    for _ in range(members):
-        kept = torch.rand(int(granule.max()) + 1, generator=generator).numpy() < share
-        allowed = np.flatnonzero(kept[granule])
-        if allowed.size == 0:
-            allowed = np.arange(len(looks))
-        pick = (
-            torch.randint(allowed.size, (size,), generator=generator).numpy()
-            if allowed.size > size
-            else np.resize(allowed, size)
-        )
-        rows.append(allowed[pick] if allowed.size > size else pick)
-    tensor = [
-        torch.tensor(a, dtype=torch.float32)
-        for a in (np.column_stack([looks.x_km, looks.y_km]), looks.time_h, looks.probability, looks.radius_km)
-    ]
-    return Group(*tensor, torch.tensor(looks.source, dtype=torch.long), torch.tensor(np.array(rows), dtype=torch.long))
+    residence_spread: float = 0.3
+    lead_h: float = 1.5
+    near_km: float = 3.0
+    edge_km: float = 0.3
+    enclosure_km: float = 3.0
+    cells: int = 90
+    finest_km: float = 0.15
+    coarsest_km: float = 0.4
+    clock: bool = True
+    no_fire: bool = True
 
 
 @dataclass(frozen=True)
 class Field:
-    """A fitted ensemble; local km in, hours out."""
+    """A fitted field on its own grid: `x_km`, `y_km` cell centres, `arrival_h` (members, rows, columns), and the
+    signed distance (km, inside positive) to the edge of the burned region."""
 
-    network: FieldEnsemble
-    centre_km: Tensor
-    half_km: float
-    centre_h: float
-    spread_h: float
-    use_clock: bool
+    x_km: Floats
+    y_km: Floats
+    arrival_h: Floats
+    margin_km: Floats
+    residence_h: float
+    detection: float
+    parameters: int
 
-    def evaluate(self, place_km: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Arrival h, burned logit and steady-pace arrival h of places (members, n, 2); each (members, n)."""
-        scaled, logit = self.network((place_km - self.centre_km) / self.half_km)
-        steady = self.centre_h + self.spread_h * scaled
-        return (self.network.daily(steady) if self.use_clock else steady), logit, steady
+    def _index(self, x_km: Floats, y_km: Floats) -> Floats:
+        step = self.x_km[1] - self.x_km[0]
+        return np.stack([(np.ravel(y_km) - self.y_km[0]) / step, (np.ravel(x_km) - self.x_km[0]) / step])
 
-    @torch.no_grad()
-    def at(self, x_km: Floats, y_km: Floats, chunk: int = 32768) -> tuple[Floats, Floats]:
-        """Arrival h and burned probability of every member at points (n,); both (members, n)."""
-        places = torch.tensor(np.column_stack([x_km.ravel(), y_km.ravel()]), dtype=torch.float32)
-        members = self.network.first.shape[0]
-        parts = [self.evaluate(part.expand(members, -1, -1)) for part in places.split(chunk)]
-        arrival = torch.cat([part[0] for part in parts], dim=1).numpy().astype(float)
-        probability = torch.cat([torch.sigmoid(part[1]) for part in parts], dim=1).numpy().astype(float)
-        return arrival, probability
+    def at(self, x_km: Floats, y_km: Floats) -> Floats:
+        """Arrival, hours, of every member at points (n,), bilinear; (members, n)."""
+        index = self._index(x_km, y_km)
+        return np.stack([map_coordinates(member, index, order=1, mode="nearest") for member in self.arrival_h])
+
+    def margin_at(self, x_km: Floats, y_km: Floats) -> Floats:
+        """Signed distance (km) to the edge of the burned region at points (n,); far outside beyond the grid."""
+        return map_coordinates(self.margin_km, self._index(x_km, y_km), order=1, mode="constant", cval=-9.0)
 
 
 @dataclass(frozen=True)
-class _Terms:
-    fire: Group | None
-    near: Group | None
-    near_weight: float
-    burned_area: Group | None
-    unburned: Group | None
-    enclosed: Tensor | None
-    ignition: Ignition
-    anchor: Tensor
+class _Model:
+    prior: CosineField
+    guess: Tensor
+    burned: Tensor
+    fire: Footprints | None
+    no_fire: Footprints | None
+    burned_area: Footprints | None
+    residence_spread: float
 
 
-def _prepare(
-    looks: Looks,
-    grid: FireGrid,
-    evidence: Evidence,
-    ignition: Ignition,
-    settings: FieldSettings,
-    generator: torch.Generator,
-) -> _Terms:
-    fire, no_fire = looks.fire, looks.no_fire
-    anchor = supported(looks)
-    distance, _ = (
-        cKDTree(np.column_stack([anchor.x_km, anchor.y_km])).query(np.column_stack([no_fire.x_km, no_fire.y_km]))
-        if len(no_fire)
-        else (np.zeros(0), 0)
-    )
-    near = no_fire.take(distance <= settings.near_km)
-    column = np.clip(
-        ((no_fire.x_km + grid.origin_km[0]) * 1e3 - grid.x_m[0]) / grid.cell_m + 0.5, 0, grid.shape[1] - 1
-    ).astype(int)
-    row = np.clip(
-        ((no_fire.y_km + grid.origin_km[1]) * 1e3 - grid.y_m[0]) / grid.cell_m + 0.5, 0, grid.shape[0] - 1
-    ).astype(int)
-    outside = (distance > settings.far_km) & ~evidence.enclosed[row, column]
+@dataclass(frozen=True)
+class _Unknowns:
+    """What the fit changes: white amplitudes, clock, and standardised residence time and detection rate."""
+
+    white: Tensor
+    clock: Tensor
+    physics: Tensor
+
+
+def working_grid(grid: FireGrid, anchor: Looks, settings: FieldSettings, margin_km: float = 3.0) -> FireGrid:
+    """The grid of the fit: the evidence and a margin, in about `cells` cells a side between the finest and coarsest."""
+    x, y = (np.array([v.min() - margin_km, v.max() + margin_km]) for v in (anchor.x_km, anchor.y_km))
+    longest = max(np.ptp(x), np.ptp(y))
+    cell_km = float(np.clip(longest / settings.cells, settings.finest_km, settings.coarsest_km))
+    cell_km = max(cell_km, longest / 400.0)
+    axes = [
+        (low[0] + cell_km * (np.arange(max(math.ceil(np.ptp(low) / cell_km), 4)) + 0.5) + origin) * 1e3
+        for low, origin in zip((x, y), grid.origin_km, strict=True)
+    ]
+    return FireGrid(grid.epsg, axes[0], axes[1], cell_km * 1e3)
+
+
+def first_guess(
+    anchor: Looks, ignition: Ignition, cells_km: Floats, shape: tuple[int, int], cell_km: float, lead_h: float
+) -> Floats:
+    """A first arrival (cells,): the earliest sighting around each sighting, spread by inverse distance and smoothed,
+    growing beyond the last one at half the fire's typical pace."""
+    place, time = np.column_stack([anchor.x_km, anchor.y_km]), anchor.time_h - lead_h
+    if ignition.x_km is not None:
+        place, time = np.vstack([place, [ignition.x_km, ignition.y_km]]), np.append(time, ignition.time_h)
+    run = np.hypot(*(place - place[np.argmin(time)]).T)
+    far = run > 1.0
+    pace = float(np.median((time - time.min())[far] / run[far])) if far.sum() > 5 else 8.0
+    tree = cKDTree(place)
+    first = np.array([time[near].min() for near in tree.query_ball_point(place, 0.35)])
+    distance, index = tree.query(cells_km, k=list(range(1, min(8, len(place)) + 1)))
+    weight = 1 / (distance + 0.3) ** 2
+    guess = (weight * first[index]).sum(axis=1) / weight.sum(axis=1)
+    guess += 0.5 * float(np.clip(pace, 2, 25)) * np.maximum(distance[:, 0] - 0.3, 0)
+    guess = np.maximum(guess, min(ignition.time_h, time.min()))
+    return gaussian_filter(guess.reshape(shape), 1.5 / cell_km, mode="nearest").ravel()
+
+
+def _model(looks: Looks, anchor: Looks, grid: FireGrid, ignition: Ignition, settings: FieldSettings) -> _Model:
+    """The fit's fixed parts; `looks` are in the working grid's local coordinates."""
     x, y = grid.cell_centres_km()
-    inner = evidence.enclosed
-    enclosed = torch.tensor(np.column_stack([x[inner], y[inner]]), dtype=torch.float32) if inner.any() else None
-    args = (settings.members, generator)
-    return _Terms(
-        _group(fire, *args),
-        _group(near, *args),
-        min(len(near) / max(len(fire), 1), 4.0),
-        _group(looks.burned_area, *args),
-        _group(no_fire.take(outside), *args),
-        enclosed,
-        ignition,
-        torch.tensor(np.column_stack([anchor.x_km, anchor.y_km]), dtype=torch.float32),
+    cells, cell_km = np.column_stack([x.ravel(), y.ravel()]), grid.cell_m / 1e3
+    evidence = gather(grid, looks, settings.enclosure_km)
+    no_fire, complete = looks.no_fire, False
+    weight = np.ones(0)
+    if len(no_fire):
+        places = cKDTree(np.column_stack([anchor.x_km, anchor.y_km]))
+        near = places.query(np.column_stack([no_fire.x_km, no_fire.y_km]))[0] < settings.near_km
+        no_fire, weight, complete = representative(no_fire.take(near))
+    guess = first_guess(anchor, ignition, cells, grid.shape, cell_km, settings.lead_h)
+    margin = np.clip(evidence.margin_km / settings.edge_km, -8.0, 8.0).ravel()
+    return _Model(
+        cosine_field(*grid.shape, cell_km, settings.length_km),
+        torch.tensor(guess, dtype=torch.float32),
+        torch.sigmoid(torch.tensor(margin, dtype=torch.float32)),
+        footprints(looks.fire, cells, cell_km),
+        footprints(no_fire, cells, cell_km, weight) if settings.no_fire else None,
+        footprints(looks.burned_area, cells, cell_km),
+        # Only complete granules say how long a place burns: of thinned ones the looks that matter are missing.
+        settings.residence_spread if complete else 0.1,
     )
 
 
-def _arrival_loss(field: Field, terms: _Terms, settings: FieldSettings, generator: torch.Generator) -> Tensor:
-    network, soft = field.network, settings.softness_h
-    loss = torch.zeros(())
-    if terms.fire is not None:
-        place, index = terms.fire.draw(settings.batch, generator)
-        arrival, logit, _ = field.evaluate(place)
-        time = terms.fire.time[index]
-        loss = loss + likelihood.fire_seen(arrival, time, settings.residence_h, soft).mean(1).sum()
-        logit = logit + network.source_logit.gather(1, terms.fire.source[index])
-        loss = (
-            loss
-            + settings.detection_weight
-            * binary_cross_entropy_with_logits(logit, torch.ones_like(logit), reduction="none").mean(1).sum()
-        )
-    if terms.near is not None:
-        place, index = terms.near.draw(settings.batch, generator)
-        arrival, _, _ = field.evaluate(place)
-        cost = likelihood.no_fire_seen(arrival, terms.near.time[index], settings.residence_h, network.detection, soft)
-        loss = loss + terms.near_weight * cost.mean(1).sum()
-    if terms.burned_area is not None:
-        place, index = terms.burned_area.draw(settings.batch // 4, generator)
-        arrival, logit, _ = field.evaluate(place)
-        probability = terms.burned_area.probability[index]
-        cost = likelihood.burned_seen(arrival, terms.burned_area.time[index], probability, soft)
-        logit = logit + network.source_logit[:, GNSSR : GNSSR + 1]
-        cost = cost + settings.detection_weight * binary_cross_entropy_with_logits(logit, probability, reduction="none")
-        loss = loss + settings.burned_area_weight * cost.mean(1).sum()
+def _evaluate(model: _Model, unknowns: _Unknowns, settings: FieldSettings) -> Tensor:
+    """Arrival h (members, cells)."""
+    steady = model.guess + settings.spread_h * model.prior(unknowns.white)
+    return daily(steady, unknowns.clock) if settings.clock else steady
+
+
+def _physics(unknowns: _Unknowns, model: _Model, settings: FieldSettings) -> tuple[Tensor, Tensor]:
+    """Residence h and detection rate, both (members, 1)."""
+    residence = settings.residence_h * torch.exp(model.residence_spread * unknowns.physics[:, :1])
+    return residence, 0.1 + 0.8 * torch.sigmoid(unknowns.physics[:, 1:])
+
+
+def _loss(model: _Model, unknowns: _Unknowns, settings: FieldSettings, soft: float, weights: list[Tensor]) -> Tensor:
+    arrival = _evaluate(model, unknowns, settings)
+    residence, detection = _physics(unknowns, model, settings)
+    loss = 0.5 * sum((part**2).sum() for part in (unknowns.white, unknowns.clock, unknowns.physics))
+    for looks, own, is_fire in ((model.fire, weights[0], True), (model.no_fire, weights[1], False)):
+        if looks is not None:
+            age = looks.time[looks.look] - arrival[:, looks.cell]
+            alight = likelihood.burning(age, residence, soft, settings.softness_h) * model.burned[looks.cell]
+            cost = likelihood.footprint_seen(looks.seen(alight), detection, is_fire)
+            loss = loss + (own * looks.weight * cost).sum()
+    if model.burned_area is not None:
+        looks = model.burned_area
+        age = looks.time[looks.look] - arrival[:, looks.cell]
+        share = looks.seen(torch.sigmoid(age / soft) * model.burned[looks.cell])
+        loss = loss + likelihood.share_burned(share, looks.probability).sum()
     return loss
 
 
-def _extent_loss(field: Field, terms: _Terms, settings: FieldSettings, generator: torch.Generator) -> Tensor:
-    members = settings.members
-    loss = torch.zeros(())
-    if terms.unburned is not None:
-        place, index = terms.unburned.draw(settings.batch, generator)
-        _, logit, _ = field.evaluate(place)
-        logit = logit + field.network.source_logit.gather(1, terms.unburned.source[index])
-        loss = loss + binary_cross_entropy_with_logits(logit, torch.zeros_like(logit), reduction="none").mean(1).sum()
-    if terms.enclosed is not None:
-        pick = torch.randint(terms.enclosed.shape[0], (members, settings.batch // 4), generator=generator)
-        _, logit, _ = field.evaluate(terms.enclosed[pick])
-        loss = (
-            loss + 0.5 * binary_cross_entropy_with_logits(logit, torch.ones_like(logit), reduction="none").mean(1).sum()
-        )
-    return settings.detection_weight * loss
+def fit_field(looks: Looks, grid: FireGrid, ignition: Ignition, settings: FieldSettings, seed: int) -> Field:
+    """Fit to looks with at least one fire detection or burned-area point. Deterministic in its inputs and `seed`.
 
-
-def _prior_loss(field: Field, terms: _Terms, settings: FieldSettings, generator: torch.Generator) -> Tensor:
-    """Smoothness of the steady-pace arrival, the ignition, and no arrival before it."""
-    members, step = settings.members, 0.25 * settings.length_km
-    pick = torch.randint(terms.anchor.shape[0], (members, 48), generator=generator)
-    centre = terms.anchor[pick] + torch.randn(members, 48, 2, generator=generator) * 0.5 * settings.length_km
-    angle = torch.rand(members, 48, 1, generator=generator) * 2 * math.pi
-    offset = step * torch.cat([torch.cos(angle), torch.sin(angle)], dim=2)
-    arrival, _, steady = field.evaluate(torch.cat([centre - offset, centre, centre + offset], dim=1))
-    low, middle, high = steady.split(48, dim=1)
-    loss = settings.smoothness * ((low - 2 * middle + high) / settings.softness_h).abs().mean(1).sum()
-    early = torch.relu(terms.ignition.time_h - arrival) / settings.ignition_sd_h
-    loss = loss + 0.5 * early.mean(1).sum()
-    if terms.ignition.x_km is not None:
-        place = torch.tensor([[terms.ignition.x_km, terms.ignition.y_km]]).float().expand(members, -1, -1)
-        off = (field.evaluate(place)[0] - terms.ignition.time_h) / settings.ignition_sd_h
-        loss = loss + 0.2 * smooth_l1_loss(off, torch.zeros_like(off), reduction="sum")
-    return loss
-
-
-def fit_field(
-    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, settings: FieldSettings, seed: int
-) -> Field:
-    """Fit the ensemble to looks (at least one fire detection or burned-area point). Deterministic in its inputs and
-    `seed`."""
+    With several members each is fitted to looks weighted at random (the Bayesian bootstrap, Rubin 1981).
+    """
     torch.set_num_threads(1)
-    generator = seeded(seed)
-    anchor = supported(looks)
-    low = np.array([anchor.x_km.min(), anchor.y_km.min()]) - 2.0
-    high = np.array([anchor.x_km.max(), anchor.y_km.max()]) + 2.0
-    half = float((high - low).max() / 2)
-    times = np.append(anchor.time_h, ignition.time_h)
-    field = Field(
-        FieldEnsemble(settings.members, settings.length_km / half, seed),
-        torch.tensor((low + high) / 2, dtype=torch.float32),
-        half,
-        float(np.median(anchor.time_h)),
-        float(max(times.std(), 6.0)),
-        settings.clock,
+    generator = torch.Generator().manual_seed(seed)
+    work = working_grid(grid, supported(looks), settings)
+    shift = np.subtract(work.origin_km, grid.origin_km)
+    moved = looks.moved(-shift[0], -shift[1])
+    start = ignition.moved(-shift[0], -shift[1])
+    model = _model(moved, supported(moved), work, start, settings)
+    members = settings.members
+    unknowns = _Unknowns(
+        *(torch.zeros(members, *size, requires_grad=True) for size in (model.prior.amplitude.shape, (2,), (2,)))
     )
-    terms = _prepare(looks, grid, evidence, ignition, settings, generator)
-    optimiser = torch.optim.Adam(field.network.parameters(), lr=settings.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
-        optimiser, settings.steps, eta_min=settings.learning_rate * 0.02
+    weights = [
+        torch.empty(members, count).exponential_(generator=generator) if members > 1 else torch.ones(1, count)
+        for count in (len(part.time) if part is not None else 0 for part in (model.fire, model.no_fire))
+    ]
+    _descend(model, unknowns, settings, weights)
+    with torch.no_grad():
+        arrival = _evaluate(model, unknowns, settings).numpy().astype(float).reshape(members, *work.shape)
+        residence, detection = (float(value.mean()) for value in _physics(unknowns, model, settings))
+    margin = gather(work, moved, settings.enclosure_km).margin_km
+    x, y = work.x_m / 1e3 - grid.origin_km[0], work.y_m / 1e3 - grid.origin_km[1]
+    count = sum(part.numel() for part in (unknowns.white, unknowns.clock, unknowns.physics)) // members
+    return Field(x, y, arrival, np.maximum(margin, -9.0), residence, detection, count)
+
+
+def _descend(model: _Model, unknowns: _Unknowns, settings: FieldSettings, weights: list[Tensor]) -> None:
+    slow = {"params": [unknowns.clock, unknowns.physics], "lr": 0.3 * settings.learning_rate}
+    optimiser = torch.optim.Adam([{"params": [unknowns.white], "lr": settings.learning_rate}, slow])
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimiser, lambda step: 0.02 + 0.5 * (1 + math.cos(math.pi * min(step / settings.steps, 1.0)))
     )
-    for _ in range(settings.steps):
+    for step in range(settings.steps):
+        # Wide windows first: a guess far off still feels which way to go.
+        narrowed = min(step / (0.4 * settings.steps), 1.0)
+        soft = settings.first_softness_h + (settings.softness_h - settings.first_softness_h) * narrowed
         optimiser.zero_grad()
-        loss = _arrival_loss(field, terms, settings, generator)
-        loss = loss + _extent_loss(field, terms, settings, generator) + _prior_loss(field, terms, settings, generator)
-        loss.backward()
+        _loss(model, unknowns, settings, soft, weights).backward()
         optimiser.step()
         schedule.step()
-    return field

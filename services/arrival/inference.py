@@ -10,14 +10,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from services.arrival.extent import Evidence, gather, supported
-from services.arrival.field import Field, FieldSettings, Ignition, fit_field
+from services.arrival.field import FieldSettings, fit_field
 from services.arrival.grid import FireGrid
-from services.arrival.looks import Looks
+from services.arrival.looks import Ignition, Looks
 from services.arrival.network import parameter_count
-from services.arrival.paper_method import PaperField, PaperSettings, fit_paper
+from services.arrival.paper_method import PaperSettings, fit_paper
+from services.arrival.svm import SvmSettings, fit_svm
 from shared.errors import DomainError
 
-METHODS = ("fusion-nn", "fusion-nn-paper", "nearest-detection")
+DEFAULT_METHOD = "arrival-field"
+METHODS = (DEFAULT_METHOD, "fusion-nn", "svm", "nearest-detection")
+# Names that callers used before the methods had theirs.
+FORMER_NAMES = {"fusion-nn-paper": "fusion-nn"}
+Settings = FieldSettings | PaperSettings | SvmSettings
 EDGE_KM = 0.4
 MIXING_DISTANCE_KM = 5.0
 # Variance of the error (h^2) on synthetic tuning fires: a constant, the spread of the members (too small by itself),
@@ -110,19 +115,71 @@ def _pace(arrival_h: Floats, cell_km: float) -> Floats:
     return np.clip(np.hypot(d_row, d_column), 0.0, 10.0)
 
 
-def _field_of(
-    looks: Looks,
-    grid: FireGrid,
-    evidence: Evidence,
-    ignition: Ignition,
-    method: str,
-    seed: int,
-    settings: FieldSettings | PaperSettings | None,
-) -> Field | PaperField:
-    if method == "fusion-nn":
-        chosen = settings if isinstance(settings, FieldSettings) else FieldSettings()
-        return fit_field(looks, grid, evidence, ignition, chosen, seed)
-    return fit_paper(looks, settings if isinstance(settings, PaperSettings) else PaperSettings(), seed)
+@dataclass(frozen=True)
+class _Fitted:
+    """What a method found: arrival h (members, rows * columns), probability of burned (rows, columns), size."""
+
+    member_h: Floats
+    probability: Floats
+    parameters: int = 0
+    model_bytes: int = 0
+
+
+def _edge(margin_km: Floats) -> Floats:
+    """Probability of burned from the signed distance to the edge of the region."""
+    return 1.0 / (1.0 + np.exp(-np.clip(margin_km / EDGE_KM, -30.0, 30.0)))
+
+
+def _by_field(
+    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: FieldSettings
+) -> _Fitted:
+    field = fit_field(looks, grid, ignition, settings, seed)
+    x, y = grid.cell_centres_km()
+    burned = _edge(field.margin_at(x, y)).reshape(grid.shape)
+    return _Fitted(field.at(x, y), burned, field.parameters, 4 * field.parameters)
+
+
+def _by_network(
+    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: PaperSettings
+) -> _Fitted:
+    """The network decides the extent alone; it is only kept from burning land that nobody saw."""
+    fitted = fit_paper(looks, settings, seed)
+    x, y = grid.cell_centres_km()
+    member_h, member_p = fitted.at(x.ravel(), y.ravel())
+    seen = member_p.mean(axis=0).reshape(grid.shape) * (evidence.distance_km <= MIXING_DISTANCE_KM)
+    parameters = parameter_count(fitted.network)
+    return _Fitted(member_h, seen, parameters, 4 * parameters)
+
+
+def _by_svm(
+    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: SvmSettings
+) -> _Fitted:
+    surface = fit_svm(looks, settings, seed)
+    x, y = grid.cell_centres_km()
+    arrival = surface.at(x, y)
+    burned = np.isfinite(arrival).reshape(grid.shape)
+    size = surface.support.size + surface.coefficients.size
+    return _Fitted(np.nan_to_num(arrival, nan=0.0)[None], burned.astype(float), size, 4 * size)
+
+
+def _by_nearest(
+    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: None
+) -> _Fitted:
+    return _Fitted(nearest_detection(looks, *grid.cell_centres_km())[None], _edge(evidence.margin_km))
+
+
+_FITS: dict[str, tuple[Callable[..., _Fitted], type | None]] = {
+    "arrival-field": (_by_field, FieldSettings),
+    "fusion-nn": (_by_network, PaperSettings),
+    "svm": (_by_svm, SvmSettings),
+    "nearest-detection": (_by_nearest, None),
+}
+
+
+def own_settings(method: str) -> Settings | None:
+    """The default settings of a method (None: it has none)."""
+    kind = _FITS[FORMER_NAMES.get(method, method)][1]
+    return kind() if kind else None
 
 
 def infer_arrival(
@@ -130,38 +187,25 @@ def infer_arrival(
     grid: FireGrid,
     ignition: Ignition,
     end_h: float,
-    method: str = "fusion-nn",
+    method: str = DEFAULT_METHOD,
     seed: int = 0,
-    settings: FieldSettings | PaperSettings | None = None,
+    settings: Settings | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> ArrivalMap:
     """Arrival map of one fire from its looks up to `end_h`. Raises DomainError without any fire evidence, at an
     unknown method and for looks after `end_h`.
 
-    A cell counts as burned where evidence of fire is near or encloses it and the network agrees; far from evidence
-    nothing burns.
+    Settings of another method than the one asked for are not used. Far from evidence of fire nothing burns.
     """
+    method = FORMER_NAMES.get(method, method)
     _check(looks, end_h, method)
-    report = progress or (lambda message: None)
+    if progress:
+        progress("fitting")
     evidence = gather(grid, looks)
-    x, y = grid.cell_centres_km()
-    near_edge = 1.0 / (1.0 + np.exp(-np.clip(evidence.margin_km / EDGE_KM, -30.0, 30.0)))
-    parameters = model_bytes = 0
-    if method == "nearest-detection":
-        member_h = nearest_detection(looks, x, y)[None]
-        probability = near_edge
-    else:
-        report("fitting")
-        field = _field_of(looks, grid, evidence, ignition, method, seed, settings)
-        member_h, member_p = field.at(x.ravel(), y.ravel())
-        seen = member_p.mean(axis=0).reshape(grid.shape)
-        # The paper's network decides the extent alone; it is only kept from burning land that nobody saw.
-        probability = (
-            np.sqrt(seen * near_edge) if method == "fusion-nn" else seen * (evidence.distance_km <= MIXING_DISTANCE_KM)
-        )
-        parameters = parameter_count(field.network) // member_h.shape[0]
-        model_bytes = 4 * parameters
-    return _finish(looks, grid, evidence, ignition, end_h, member_h, probability, parameters, model_bytes)
+    fit, kind = _FITS[method]
+    chosen = settings if kind and isinstance(settings, kind) else own_settings(method)
+    fitted = fit(looks, grid, evidence, ignition, seed, chosen)
+    return _finish(looks, grid, evidence, ignition, end_h, fitted)
 
 
 def _finish(
@@ -170,11 +214,9 @@ def _finish(
     evidence: Evidence,
     ignition: Ignition,
     end_h: float,
-    member_h: Floats,
-    probability: Floats,
-    parameters: int,
-    model_bytes: int,
+    fitted: _Fitted,
 ) -> ArrivalMap:
+    member_h, probability = fitted.member_h, fitted.probability
     start = ignition.time_h if not len(looks.fire) else min(ignition.time_h, float(looks.fire.time_h.min()))
     arrival = np.median(member_h, axis=0).reshape(grid.shape)
     spread = member_h.std(axis=0, ddof=1).reshape(grid.shape) if member_h.shape[0] > 1 else np.zeros(grid.shape)
@@ -203,8 +245,8 @@ def _finish(
         arrival + Z95 * sd + blank,
         np.clip(probability * (1 - late), 0.0, 1.0),
         flags,
-        parameters,
-        model_bytes,
+        fitted.parameters,
+        fitted.model_bytes,
     )
 
 
@@ -213,12 +255,11 @@ def _late_share(arrival_h: Floats, sd_h: Floats, end_h: float) -> Floats:
     return np.clip(0.5 + (arrival_h - end_h) / (2 * Z95 * sd_h), 0.0, 0.5)
 
 
-def quick(
-    settings: FieldSettings | PaperSettings, epochs: int | None, ensemble: int | None
-) -> FieldSettings | PaperSettings:
-    """The settings with a caller's budget: training epochs (for the field: of ten minibatches each) and ensemble
-    members."""
+def quick(settings: Settings | None, epochs: int | None, ensemble: int | None) -> Settings | None:
+    """The settings with a caller's budget: training epochs (for the field: of ten steps each) and ensemble members."""
     if isinstance(settings, PaperSettings):
         return replace(settings, epochs=epochs) if epochs else settings
-    steps = 10 * epochs if epochs else settings.steps
-    return replace(settings, steps=steps, members=ensemble or settings.members)
+    if isinstance(settings, FieldSettings):
+        steps = 10 * epochs if epochs else settings.steps
+        return replace(settings, steps=steps, members=ensemble or settings.members)
+    return settings

@@ -43,6 +43,10 @@ class Looks:
         """The looks at `index` (integers or a mask)."""
         return replace(self, **{name: getattr(self, name)[index] for name in self.__dataclass_fields__})
 
+    def moved(self, x_km: float, y_km: float) -> Looks:
+        """The same looks in coordinates shifted by (x, y) km."""
+        return replace(self, x_km=self.x_km + x_km, y_km=self.y_km + y_km)
+
     @property
     def fire(self) -> Looks:
         return self.take(self.kind == FIRE)
@@ -54,6 +58,21 @@ class Looks:
     @property
     def burned_area(self) -> Looks:
         return self.take(self.kind == BURNED_AREA)
+
+
+@dataclass(frozen=True)
+class Ignition:
+    """Where (local km; None: unknown) and when (hours) the fire was reported to have started."""
+
+    time_h: float
+    x_km: float | None = None
+    y_km: float | None = None
+
+    def moved(self, x_km: float, y_km: float) -> Ignition:
+        """The same ignition in coordinates shifted by (x, y) km."""
+        if self.x_km is None or self.y_km is None:
+            return self
+        return replace(self, x_km=self.x_km + x_km, y_km=self.y_km + y_km)
 
 
 def confident(detections: gpd.GeoDataFrame, threshold: float = 70.0) -> gpd.GeoDataFrame:

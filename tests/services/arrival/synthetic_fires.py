@@ -112,7 +112,29 @@ def _overpasses(rng: np.random.Generator, days: int) -> list[tuple[float, str, s
     return sorted(passes)
 
 
-def _look(rng, arrival_h, residence_h, time_h, pixel_km, detect, cloudiness):
+@dataclass(frozen=True)
+class Sky:
+    """Cloud over the square: two fields (100, 100) that drift with the wind aloft and turn into each other."""
+
+    fields: np.ndarray
+    drift_km_h: np.ndarray
+    turn_h: float
+
+    def at(self, time_h: float) -> np.ndarray:
+        """Thickness of the cloud (100, 100) at a time; any unit."""
+        phase = 2 * np.pi * time_h / self.turn_h
+        now = np.cos(phase) * self.fields[0] + np.sin(phase) * self.fields[1]
+        rows, columns = np.rint(self.drift_km_h * time_h * 100 / SIDE_KM).astype(int)
+        return np.roll(now, (rows, columns), axis=(0, 1))
+
+
+def _sky(rng: np.random.Generator) -> Sky:
+    heading, speed = rng.uniform(0, 2 * np.pi), rng.uniform(2, 15)
+    drift = speed * np.array([np.sin(heading), np.cos(heading)])
+    return Sky(np.stack([_smooth_noise(rng, 100, 8) for _ in range(2)]), drift, float(rng.uniform(18, 48)))
+
+
+def _look(rng, arrival_h, residence_h, time_h, pixel_km, detect, cloudiness, sky):
     """One granule: pixel centres (km) seen through cloud, and whether fire was seen in each."""
     cell = CELL_KM
     size = int(SIDE_KM / pixel_km) - 1
@@ -132,7 +154,7 @@ def _look(rng, arrival_h, residence_h, time_h, pixel_km, detect, cloudiness):
             age = np.fmin(age, np.where(burning[i, j], time_h - arrival_h[i, j], np.inf))
     fade = 1 - 0.6 * np.clip(age / residence_h, 0, 1)  # a cooling pixel is missed more often
     seen_fire = hot & (rng.random(hot.shape) < detect * np.where(np.isfinite(age), fade, 0))
-    cloud = _smooth_noise(rng, 100, 8)
+    cloud = sky.at(time_h)
     clear = cloud[(yy / SIDE_KM * 99).astype(int), (xx / SIDE_KM * 99).astype(int)] > np.quantile(cloud, cloudiness)
     jitter = rng.normal(0, 0.15 * max(pixel_km, 0.375), (2, *yy.shape))
     return yy[clear] + jitter[0][clear], xx[clear] + jitter[1][clear], seen_fire[clear]
@@ -178,11 +200,12 @@ def make_fire(
     arrival_h = _spread(fuel, start_cell, progress, hours)
     residence_h = float(rng.uniform(4, 12))
     cloudiness = float(rng.uniform(0.05, 0.45)) if cloudiness is None else cloudiness
+    sky = _sky(np.random.default_rng(seed + 700_000))
     detect = {"VIIRS": float(rng.uniform(0.6, 0.75)), "MODIS": float(rng.uniform(0.4, 0.5))}
     rows = []
     for time_h, satellite, instrument, pixel_km in _overpasses(rng, days):
         share = float(np.clip(cloudiness + rng.normal(0, 0.2), 0, 1))
-        y, x, seen = _look(rng, arrival_h, residence_h, time_h, pixel_km, detect[instrument], share)
+        y, x, seen = _look(rng, arrival_h, residence_h, time_h, pixel_km, detect[instrument], share, sky)
         rows.append(
             pd.DataFrame(
                 {
