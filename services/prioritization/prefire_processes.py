@@ -145,13 +145,13 @@ def fit_fire_probability(inputs: FitFireProbabilityInputs, context: JobContext) 
     voxels = fire_probability_fit.checked_voxels(read(context.path(inputs.voxels), "voxels"))
     if inputs.demonstration:
         context.mark_simulated()
-    model = fire_probability_fit.fit(fires, voxels, inputs.source, inputs.demonstration)
+    refit = fire_probability_fit.fit(fires, voxels, inputs.source, inputs.demonstration)
     context.progress(50, "fitted")
-    report = fire_probability_skill.against_usgs(fires, voxels)
+    report = fire_probability_skill.against_usgs(refit, fires, voxels)
     fire_probability_skill.draw(report, context.new_file("reliability.png"), context.product_attributes())
     summary = report["summary"].values()
     return FitFireProbabilityOutputs(
-        model=context.write_json("fire_probability.json", fire_probability.to_document(model)),
+        model=context.write_json("fire_probability.json", fire_probability.to_document(refit.model)),
         report=context.write_json("report.json", {"fires": len(fires), "voxels": len(voxels), **report}),
         figure=context.ref("reliability.png"),
         bins_held=sum(part["bins_held"] for part in summary),

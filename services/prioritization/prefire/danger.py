@@ -79,9 +79,14 @@ class SeenBlock:
 
 @dataclass(frozen=True)
 class DangerBlock:
-    """A block's danger: each index (lead_day, y, x), NaN on masked and unknown cells; ``flag`` says why unknown."""
+    """A block's danger: each index (lead_day, y, x), NaN on masked and unknown cells; ``flag`` says why unknown.
+
+    ``longitude_deg`` and ``latitude_deg`` of the cells broadcast to (y, x).
+    """
 
     rows: slice
+    longitude_deg: Array
+    latitude_deg: Array
     fuels: Fuels
     seen: SeenBlock
     wfpi: Array
@@ -132,7 +137,7 @@ def _block(
     flag = fuels.flag | air.flag
     flag[np.isnan(plain) & (flag == 0)] = VEGETATION_IMPOSSIBLE  # such as no fuel load at all
     flag = np.where(fuels.mask_code >= 248, np.uint8(0), flag)
-    return DangerBlock(rows, fuels, block_seen, plain, seen_wfpi, flag)
+    return DangerBlock(rows, longitude, latitude, fuels, block_seen, plain, seen_wfpi, flag)
 
 
 def _seen_block(

@@ -38,7 +38,7 @@ class Rates:
 
 def rates(block: DangerBlock, time: pd.Timestamp, model: fire_probability.FireProbability) -> Rates:
     """The block's probabilities; the day of the year is that of each lead day. Unchanged WFPI keeps its probability."""
-    at = model.at(*block.fuels.grid.places(block.rows))
+    at = model.at(block.longitude_deg, block.latitude_deg)
     layers: dict[str, Array] = {"wfpi": block.wfpi, "wfpi_x": block.wfpi_x}
     for suffix in ("", "_x"):
         if suffix and block.wfpi_x is block.wfpi:

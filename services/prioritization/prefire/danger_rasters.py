@@ -110,7 +110,7 @@ class Coarse:
 
     def add(self, part: Rates) -> None:
         """Add a block's cells to their means."""
-        longitude, latitude = part.block.fuels.grid.places(part.block.rows)
+        longitude, latitude = part.block.longitude_deg, part.block.latitude_deg
         row = np.floor((latitude + 90) / self._step).astype(np.int64) - self._first[0]
         column = np.floor((longitude + 180) / self._step).astype(np.int64) - self._first[1]
         cell = (row * self.shape[1] + column).ravel()

@@ -23,6 +23,7 @@ YEARS = range(2001, 2016)
 WEST, EAST, SOUTH, NORTH = -124.0, -68.0, 26.0, 49.0
 AREA_KM2 = 400_000.0  # a twentieth of the conterminous United States, spread over all of it
 BACKGROUND = 60_000
+CANDIDATES = 700_000  # of which the truth's rate lights some
 SOURCE = "simulated fire history 2001-2015, seed 0"
 
 
@@ -56,7 +57,7 @@ def simulate(seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
     rng = np.random.default_rng(seed)
     total = AREA_KM2 * 365.25 * len(YEARS)
     background = _voxels(rng, BACKGROUND).assign(ignition=0, sampling_rate=BACKGROUND / total, large=0)
-    candidates = _voxels(rng, 1_500_000)
+    candidates = _voxels(rng, CANDIDATES)
     _, rate = _truth_of(candidates)
     ceiling = total / len(candidates)
     lit = candidates[rng.uniform(size=len(candidates)) < np.minimum(rate * ceiling, 1.0)].reset_index(drop=True)

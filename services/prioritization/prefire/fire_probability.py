@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline, NdBSpline
+from scipy.interpolate import BSpline
 
+from services.prioritization.prefire.conditions import Blend
 from shared.errors import ContractError
 
 Array = npt.NDArray[np.floating[Any]]
@@ -44,19 +45,19 @@ class PlaceTerm:
     north: float
     coefficients: tuple[tuple[float, ...], ...]
 
-    def __call__(self, longitude_deg: Array, latitude_deg: Array) -> Array:
-        """The term at places that broadcast."""
+    def __call__(self, longitude_deg: Array, latitude_deg: Array, kind: Any = np.float64) -> Array:
+        """The term at places that broadcast, between values tabulated every tenth of a degree."""
+        axes = [_axis(low, high) for low, high in ((self.south, self.north), (self.west, self.east))]
+        found = Blend(*axes, np.asarray(latitude_deg), np.asarray(longitude_deg), kind)(self._table(*axes))
+        return np.where(self.holds(longitude_deg, latitude_deg), found, kind(0))
+
+    def _table(self, latitude_deg: Array, longitude_deg: Array) -> Array:
+        """Values (latitude, longitude) on axes: splines along one axis, then along the other."""
         table = np.array(self.coefficients)
-        knots = tuple(
-            uniform_knots(low, high, count)
-            for low, high, count in zip((self.west, self.south), (self.east, self.north), table.shape, strict=True)
-        )
-        longitude, latitude = np.broadcast_arrays(longitude_deg, latitude_deg)
-        inside = self.holds(longitude, latitude)
-        found = np.zeros(longitude.shape)
-        if inside.any():
-            found[inside] = NdBSpline(knots, table, _DEGREE)(np.stack([longitude[inside], latitude[inside]], axis=-1))
-        return found
+        knots = uniform_knots(self.west, self.east, table.shape[0])
+        along = BSpline(knots, table, _DEGREE)(np.clip(longitude_deg, self.west, self.east))
+        knots = uniform_knots(self.south, self.north, table.shape[1])
+        return BSpline(knots, along.T, _DEGREE)(np.clip(latitude_deg, self.south, self.north))
 
     def holds(self, longitude_deg: Array, latitude_deg: Array) -> npt.NDArray[np.bool_]:
         """Whether places lie in the box."""
@@ -122,6 +123,10 @@ class ProbabilityAt:
             for part, place in parts
         )
         return 100 * spread, 1e6 * ignition * spread
+
+
+def _axis(low: float, high: float) -> Array:
+    return np.linspace(low, high, int(np.ceil((high - low) / 0.1)) + 1)
 
 
 def sigmoid(logit: Array) -> Array:

@@ -175,12 +175,21 @@ def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(f"{value:.7g}") for value in row) for row in matrix)
 
 
-def fit(fires: pd.DataFrame, voxels: pd.DataFrame, trained_on: str, demonstration: bool = False) -> FireProbability:
+@dataclass(frozen=True)
+class Refit:
+    """A fitted model and the penalties that AIC chose for its two regressions."""
+
+    model: FireProbability
+    spread_penalty: float
+    ignition_penalty: float
+
+
+def fit(fires: pd.DataFrame, voxels: pd.DataFrame, trained_on: str, demonstration: bool = False) -> Refit:
     """Both regressions from checked tables (``checked_fires``, ``checked_voxels``)."""
     box = box_of(fires, voxels)
-    spread, _ = fit_logit(fires, "large", box)
-    ignition, _ = fit_logit(voxels, "ignition", box)
-    return FireProbability(spread, ignition, trained_on, demonstration)
+    spread, spread_penalty = fit_logit(fires, "large", box)
+    ignition, ignition_penalty = fit_logit(voxels, "ignition", box)
+    return Refit(FireProbability(spread, ignition, trained_on, demonstration), spread_penalty, ignition_penalty)
 
 
 def read_table(path: Path, name: str) -> pd.DataFrame:

@@ -41,23 +41,31 @@ WLFP_BINS = UsgsBins(
 )
 
 
-def left_out_predictions(table: pd.DataFrame, outcome: str, penalty: float) -> Array:
-    """Probability of each row by a fit of the other years, at a fixed penalty; DomainError with fewer than 2 years."""
+def left_out_predictions(
+    table: pd.DataFrame, outcome: str, model: fire_probability.SmoothLogit, penalty: float
+) -> Array:
+    """Probability of each row by a fit of the other years, at the penalty and in the box of the fit of all years.
+
+    DomainError with fewer than two years.
+    """
     years = table["time"].dt.year.to_numpy()
     if len(np.unique(years)) < 2:
         raise DomainError(
             "Leave-one-year-out needs at least two years.", field="time", value=str(years[:1]), accepted="2 years"
         )
-    box = fire_probability_fit.box_of(table)
-    matrix, events = fire_probability_fit.design(table, box), table[outcome].to_numpy(float)
+    matrix, events = fire_probability_fit.design(table, _box(model)), table[outcome].to_numpy(float)
     offset = fire_probability_fit.sampling_offset(table, outcome)
-    whole = fire_probability_fit.regress(matrix, events, offset, penalty).coefficients
+    whole = fire_probability_fit.coefficients_of(model)
     predicted = np.full(len(table), np.nan)
     for year in np.unique(years):
         kept = years != year
         left = fire_probability_fit.regress(matrix[kept], events[kept], offset[kept], penalty, whole)
         predicted[~kept] = fire_probability.sigmoid(matrix[~kept] @ left.coefficients)
     return predicted
+
+
+def _box(model: fire_probability.SmoothLogit) -> fire_probability_fit.Box:
+    return fire_probability_fit.Box(model.place.west, model.place.south, model.place.east, model.place.north)
 
 
 def reliability(predicted: Array, observed: Array, weight: Array, bins: UsgsBins, scale: float) -> list[dict[str, Any]]:
@@ -91,19 +99,17 @@ def reliability(predicted: Array, observed: Array, weight: Array, bins: UsgsBins
     return rows
 
 
-def against_usgs(fires: pd.DataFrame, voxels: pd.DataFrame) -> dict[str, Any]:
+def against_usgs(refit: fire_probability_fit.Refit, fires: pd.DataFrame, voxels: pd.DataFrame) -> dict[str, Any]:
     """Reliability of both probabilities, each left-out year predicted by the others; ``bins_held`` of ``bins``.
 
     A bin holds where the mean forecast lies in the 90 % interval of what was observed. WLFP is that of the voxels, its
     large fires those ignitions that the table marks ``large``; without that column WLFP is not held against anything.
     """
-    box = fire_probability_fit.box_of(fires, voxels)
-    _, spread_penalty = fire_probability_fit.fit_logit(fires, "large", box)
-    spread = left_out_predictions(fires, "large", spread_penalty)
+    spread = left_out_predictions(fires, "large", refit.model.spread, refit.spread_penalty)
     ones = np.ones(len(fires))
     report = {"wfsp": reliability(spread, fires["large"].to_numpy(float), ones, WFSP_BINS, 100.0)}
     if "large" in voxels:
-        report["wlfp"] = _wlfp(fires, voxels, box, spread_penalty)
+        report["wlfp"] = _wlfp(refit, voxels)
     held = {
         name: {"bins_held": sum(_holds(row) for row in rows), "bins": sum(row["rows"] > 0 for row in rows)}
         for name, rows in report.items()
@@ -115,23 +121,15 @@ def _holds(row: dict[str, Any]) -> bool:
     return bool(row["rows"]) and row["observed_low"] <= row["forecast"] <= row["observed_high"]
 
 
-def _wlfp(
-    fires: pd.DataFrame, voxels: pd.DataFrame, box: fire_probability_fit.Box, spread_penalty: float
-) -> list[dict[str, Any]]:
-    _, penalty = fire_probability_fit.fit_logit(voxels, "ignition", box)
-    lit = left_out_predictions(voxels, "ignition", penalty)
-    spread, _ = fire_probability_fit.fit_logit(fires, "large", box, (spread_penalty,))
-    grows = fire_probability.sigmoid(
-        fire_probability_fit.design(voxels, spread_box(spread)) @ fire_probability_fit.coefficients_of(spread)
-    )
+def _wlfp(refit: fire_probability_fit.Refit, voxels: pd.DataFrame) -> list[dict[str, Any]]:
+    """Ignitions of left-out years times the spread of all years."""
+    lit = left_out_predictions(voxels, "ignition", refit.model.ignition, refit.ignition_penalty)
+    spread = refit.model.spread
+    matrix = fire_probability_fit.design(voxels, _box(spread))
+    grows = fire_probability.sigmoid(matrix @ fire_probability_fit.coefficients_of(spread))
     background = voxels["ignition"].to_numpy() == 0
     weight = np.where(background, 1 / voxels["sampling_rate"].to_numpy(float), 1.0)
     return reliability(lit * grows, voxels["large"].to_numpy(float), weight, WLFP_BINS, 1e6)
-
-
-def spread_box(model: fire_probability.SmoothLogit) -> fire_probability_fit.Box:
-    """The domain of a fitted place term."""
-    return fire_probability_fit.Box(model.place.west, model.place.south, model.place.east, model.place.north)
 
 
 def draw(report: dict[str, Any], path: Path, attributes: dict[str, Any]) -> None:

@@ -140,7 +140,7 @@ def checked_fuels(grid: danger_grid.DangerGrid, bands: Mapping[str, Array], note
     mask = fire_potential.checked_mask(bands["mask_code"])
     burnable = mask < 248
     kind = np.float32 if grid.kind == "usgs-1km" else np.float64
-    values = {name: np.array(bands[name], dtype=kind) for name in (*REQUIRED, *OPTIONAL) if name in bands}
+    values = {name: np.asarray(bands[name], dtype=kind) for name in (*REQUIRED, *OPTIONAL) if name in bands}
     flag = np.zeros(mask.shape, dtype=np.uint8)
     for name in REQUIRED:
         if burnable.any() and not np.isfinite(values[name][burnable]).any():
@@ -153,10 +153,8 @@ def checked_fuels(grid: danger_grid.DangerGrid, bands: Mapping[str, Array], note
         flag[impossible & burnable] |= VEGETATION_IMPOSSIBLE
         counts[f"{name}: not {rule}"] = count
     largest = np.where(burnable & (flag == 0), values["ndvi_max"], -np.inf).max(initial=-np.inf)
-    known = flag == 0
-    greenness = fire_potential.relative_greenness(
-        *(np.where(known, values[name], np.nan) for name in ("ndvi", "ndvi_min", "ndvi_max"))
-    )
+    greenness = fire_potential.relative_greenness(values["ndvi"], values["ndvi_min"], values["ndvi_max"])
+    greenness[flag > 0] = np.nan
     unknown = np.full(mask.shape, np.nan, dtype=kind) if OPTIONAL[0] not in values else None
     wet = {name: values.get(name, unknown) for name in OPTIONAL}
     _check_soil_moisture(wet, burnable)
@@ -246,7 +244,7 @@ def _band(source: Any, index: int, name: str) -> Array:
     raw = source.read(index)
     if name == "mask_code":
         return raw
-    values = raw.astype(np.float32)
+    values = raw.astype(np.float32, copy=False)
     scale, offset, nodata = source.scales[index - 1], source.offsets[index - 1], source.nodatavals[index - 1]
     if (scale, offset) != (1.0, 0.0):
         values = (values * np.float32(scale) + np.float32(offset)).astype(np.float32)
