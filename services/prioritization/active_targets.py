@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import geopandas
@@ -11,8 +11,9 @@ import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
-from services.prioritization import expected_front, observation_age, reward
-from services.prioritization.expected_front import KINDS, WEIGHTLESS, Front
+from services.prioritization import expected_front, fire_reports, observation_age, reward
+from services.prioritization.expected_front import WEIGHTLESS, Front
+from services.prioritization.fire_reports import Previous
 from services.prioritization.lattice import KM_PER_DEGREE, Lattice
 from services.prioritization.prefire import burn_evidence
 
@@ -36,6 +37,7 @@ class Situation:
     arrival_maps: dict[str, xr.Dataset]
     burned_area: list[geopandas.GeoDataFrame]
     observed: pd.DataFrame | None
+    previous: Previous = field(default_factory=Previous)
 
 
 def active_targets(situation: Situation, lattice: Lattice) -> tuple[pd.DataFrame, list[dict[str, Any]]]:
@@ -44,7 +46,7 @@ def active_targets(situation: Situation, lattice: Lattice) -> tuple[pd.DataFrame
     A place claimed by two fires goes to the one that gives it the larger reward.
     """
     known = situation.incidents[situation.incidents["known_at"] <= situation.time]
-    ratings = _latest_ratings(situation.ratings, situation.time)
+    ratings = fire_reports.latest_ratings(situation.ratings, situation.time)
     frames, reports = [], []
     for incident in known.itertuples():
         front = _front(incident, situation, lattice)
@@ -53,23 +55,15 @@ def active_targets(situation: Situation, lattice: Lattice) -> tuple[pd.DataFrame
         frame, removed = _priced(frame, rating or UNRATED, situation, lattice)
         frame["source"] = "incident:" + incident.incident_id
         frames.append(frame)
-        reports.append(
-            _fire_report(incident, front, frame, rating, removed, incident.incident_id in situation.arrival_maps)
-        )
+        mapped = incident.incident_id in situation.arrival_maps
+        reports.append(fire_reports.report_row(incident, front, frame, rating, removed, mapped))
+    fire_reports.finish(reports, ratings, situation.previous)
     columns = ["target_id", "priority", "priority_low", "priority_high", "source", "longitude_deg", "latitude_deg"]
     if not frames:
         return pd.DataFrame(columns=columns), reports
     table = pd.concat(frames, ignore_index=True)
     table = table.sort_values(["target_id", "priority", "source"], ascending=[True, False, True], kind="stable")
-    reports.sort(key=lambda row: (-row["priority_largest"], row["incident_id"]))
-    for rank, row in enumerate(reports, start=1):
-        row["rank"] = rank
     return table.drop_duplicates("target_id").reset_index(drop=True), reports
-
-
-def _latest_ratings(ratings: pd.DataFrame, time: pd.Timestamp) -> dict[str, dict[str, Any]]:
-    known = ratings[ratings["time"] <= time].sort_values("time").drop_duplicates("incident_id", keep="last")
-    return {str(row["incident_id"]): row for row in known.to_dict("records")}
 
 
 def _front(incident: Any, situation: Situation, lattice: Lattice) -> Front:
@@ -86,7 +80,7 @@ def _front(incident: Any, situation: Situation, lattice: Lattice) -> Front:
         parts.append(expected_front.front_of_incident(incident.geometry, lattice))
     if fresh is not None and len(fresh):
         parts.append(expected_front.front_of_detections(fresh, incident.geometry, situation.time, lattice))
-    return Front(expected_front.joined(parts), front.spread_m_s, front.known_until)
+    return Front(expected_front.joined(parts), front.spread_m_s, front.known_until, front.forecast)
 
 
 def _on_lattice(front: Front, lattice: Lattice, area: tuple[float, float, float, float]) -> pd.DataFrame:
@@ -143,51 +137,3 @@ def _unburned_share(frame: pd.DataFrame, situation: Situation, lattice: Lattice)
             near = KM_PER_DEGREE * np.hypot(east, frame["latitude_deg"].to_numpy() - y) <= reach
             evidence[near] += ratio
     return 2 / (1 + np.exp(evidence))
-
-
-def _fire_report(
-    incident: Any, front: Front, frame: pd.DataFrame, rating: dict[str, Any] | None, removed: int, mapped: bool
-) -> dict[str, Any]:
-    counts = {KINDS[index]: int(n) for index, n in frame["kind_index"].value_counts().sort_index().items()}
-    largest = float(frame["priority"].max()) if len(frame) else 0.0
-    row = {
-        "incident_id": incident.incident_id,
-        "name": incident.name,
-        "targets": len(frame),
-        "targets_by_kind": counts,
-        "targets_removed_as_burned": removed,
-        "priority_largest": largest,
-        "staleness_mean": float(frame["staleness"].mean()) if len(frame) else None,
-        "spread_m_s": front.spread_m_s,
-        "from_arrival_map": mapped,
-        "rated": rating is not None,
-    }
-    row["reason"] = _reason(row, rating)
-    return row
-
-
-def _reason(row: dict[str, Any], rating: dict[str, Any] | None) -> str:
-    """One line: why this fire ranks where it does."""
-    if not row["targets"]:
-        return f"{row['name']}: no place within the area is worth a look."
-    if rating is None:
-        chance = "not rated, so taken at 5 % (0 to 100 %)"
-    else:
-        low, high = 100 * rating["probability_low"], 100 * rating["probability_high"]
-        chance = (
-            f"probability of a large fire {100 * rating['probability']:.1f} % ({low:.1f} to {high:.1f} %), above "
-            f"{rating['percentile']:.0f} % of past fires; {rating['drivers']}"
-        )
-        if rating["imputed"]:
-            chance += f"; imputed: {rating['imputed']}"
-        if rating["out_of_domain"]:
-            chance += "; outside what the model was trained on"
-    places = ", ".join(f"{count} {kind}" for kind, count in row["targets_by_kind"].items())
-    source = "arrival map" if row["from_arrival_map"] else "incident and detections"
-    text = f"{row['name']}: r up to {row['priority_largest']:.2f}; {chance}"
-    text += f"; {row['targets']} places ({places}) from {source}"
-    if row["staleness_mean"] < 0.999:
-        text += f"; lately observed, staleness {row['staleness_mean']:.2f} on average"
-    if row["targets_removed_as_burned"]:
-        text += f"; {row['targets_removed_as_burned']} places dropped as burned out"
-    return text + "."

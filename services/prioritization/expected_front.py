@@ -26,7 +26,8 @@ SPREAD_LIMITS_M_S = (0.005, 0.5)
 SPREAD_UNKNOWN_M_S = 0.05
 LARGEST_RING_KM = 15.0
 WEIGHTLESS = 0.05
-KINDS = ("front", "ring", "uncertain", "detection", "incident")
+KINDS = ("front", "ring", "uncertain", "detection", "incident", "expected")
+FORECAST_AGE_H = 24.0
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,15 @@ class Places:
 
 @dataclass(frozen=True)
 class Front:
-    """The places of one fire, its assumed rate of spread and the time up to which its sources know."""
+    """The places of one fire, its assumed rate of spread and the time up to which its sources know.
+
+    ``forecast``: the way ahead is the arrival map's own probability, not a ring at the rate of spread.
+    """
 
     places: Places
     spread_m_s: float
     known_until: pd.Timestamp
+    forecast: bool = False
 
 
 def joined(parts: list[Places]) -> Places:
@@ -77,10 +82,8 @@ def front_of_map(arrival: xr.Dataset, time: pd.Timestamp, horizon_h: float) -> F
     """Expected front from an arrival map: arrivals of its last 24 h, the ring reachable within ``horizon_h``, doubt.
 
     The rate of spread is the growth of the burned area's equivalent radius in the map's last 24 h, within 0.005-0.5
-    m/s.
+    m/s. Where the map carries ``front24_probability`` that takes the ring's place (see ``ahead_of_forecast``).
     """
-    from scipy.ndimage import distance_transform_edt
-
     seconds = arrival["fire_arrival_time"].to_numpy().astype(np.float64)
     sd_h = np.nan_to_num(arrival["fire_arrival_time_sd"].to_numpy().astype(np.float64)) / 3600
     probability = np.nan_to_num(arrival["burned_probability"].to_numpy().astype(np.float64))
@@ -92,22 +95,61 @@ def front_of_map(arrival: xr.Dataset, time: pd.Timestamp, horizon_h: float) -> F
     last_s = float(seconds[burned].max()) if burned.any() else now_s
     age_h = np.where(burned, (last_s - np.nan_to_num(seconds)) / 3600, np.inf)
     spread = _spread_m_s(int(burned.sum()), int((age_h > RECENT_H)[burned].sum()), cell_m)
-    ring_m = min(spread * horizon_h * 3600, LARGEST_RING_KM * 1000)
-    distance_m = distance_transform_edt(~burned) * cell_m if burned.any() else np.full(seconds.shape, np.inf)
-    worth = np.stack(
-        [
-            np.where(age_h <= RECENT_H, 1 - 0.5 * np.minimum(age_h, RECENT_H) / RECENT_H, 0),
-            np.where(
-                ~burned & (distance_m <= ring_m + cell_m), 0.9 - 0.6 * np.minimum(distance_m / (ring_m + cell_m), 1), 0
-            ),
-            0.7 * np.maximum(np.clip(sd_h / 12, 0, 1) * burned, 4 * probability * (1 - probability)),
-        ]
-    )
+    forecast = front_forecast(arrival, origin, time, horizon_h)
+    if forecast is None:
+        ahead = _ring(burned, cell_m, min(spread * horizon_h * 3600, LARGEST_RING_KM * 1000))
+    else:
+        ahead = np.where(burned, 0, ahead_of_forecast(forecast))
+    front = np.where(age_h <= RECENT_H, 1 - 0.5 * np.minimum(age_h, RECENT_H) / RECENT_H, 0)
+    unsure = 0.7 * np.maximum(np.clip(sd_h / 12, 0, 1) * burned, 4 * probability * (1 - probability))
+    worth = np.stack([front, ahead, unsure])
+    kinds = np.array([KINDS.index(k) for k in ("front", "ring" if forecast is None else "expected", "uncertain")])
     longitude, latitude = _geographic(arrival, x_m, y_m)
     best = worth.max(axis=0)
     kept = best >= WEIGHTLESS
-    places = Places(longitude[kept], latitude[kept], best[kept], worth.argmax(axis=0)[kept].astype(np.int64))
-    return Front(places, spread, origin + pd.Timedelta(seconds=last_s) if burned.any() else origin)
+    places = Places(longitude[kept], latitude[kept], best[kept], kinds[worth.argmax(axis=0)[kept]].astype(np.int64))
+    known_until = origin + pd.Timedelta(seconds=last_s) if burned.any() else origin
+    return Front(places, spread, known_until, forecast is not None)
+
+
+def front_forecast(arrival: xr.Dataset, origin: pd.Timestamp, time: pd.Timestamp, horizon_h: float) -> Array | None:
+    """Probability (y, x) that fire arrives within ``horizon_h``, from the map's of 24 h; None where it has none.
+
+    None too where the map's ``end`` lies more than a day before ``time``: its forecast is over. DomainError if values
+    are no probabilities.
+    """
+    if "front24_probability" not in arrival.variables:
+        return None
+    end = pd.to_datetime(str(arrival.attrs.get("end", "")), utc=True, errors="coerce")
+    if not pd.isna(end) and (time - end) > pd.Timedelta(hours=FORECAST_AGE_H):
+        return None
+    values = arrival["front24_probability"].transpose("y", "x").to_numpy().astype(np.float64)
+    if np.nanmin(values, initial=0.0) < -1e-6 or np.nanmax(values, initial=0.0) > 1 + 1e-6:
+        worst = float(max(np.nanmax(values), -np.nanmin(values)))
+        raise DomainError(
+            "The arrival map's front24_probability holds more than probabilities.",
+            field="front24_probability",
+            value=worst,
+            accepted="0..1",
+        )
+    within_a_day = np.clip(np.nan_to_num(values), 0, 1)
+    return 1 - (1 - within_a_day) ** (horizon_h / 24)
+
+
+def ahead_of_forecast(probability: Array) -> Array:
+    """Worth of unburned places by the probability that fire arrives: 0.9 p, or 0.7 of its doubt where that is more."""
+    return np.maximum(0.9 * probability, 0.7 * 4 * probability * (1 - probability))
+
+
+def _ring(burned: npt.NDArray[np.bool_], cell_m: float, reach_m: float) -> Array:
+    """Worth of unburned places within reach of the burned area, falling from 0.9 to 0.3."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not burned.any():
+        return np.zeros(burned.shape)
+    distance_m = distance_transform_edt(~burned) * cell_m
+    near = ~burned & (distance_m <= reach_m + cell_m)
+    return np.where(near, 0.9 - 0.6 * np.minimum(distance_m / (reach_m + cell_m), 1), 0)
 
 
 def _spread_m_s(cells: int, older_cells: int, cell_m: float) -> float:

@@ -188,6 +188,12 @@ class BuildTargetsInputs(ProcessInputs):
     observed: ArtifactRef | None = Field(
         None, description="Parquet of good observations: longitude_deg, latitude_deg, time"
     )
+    previous_ratings: ArtifactRef | None = Field(
+        None, description="ratings table of the last cycle, to say what changed; else earlier rows of ratings"
+    )
+    previous_report: ArtifactRef | None = Field(
+        None, description="report of the last build-targets, to say how ranks and places changed"
+    )
     horizon_h: float = Field(24, gt=0, le=192, description="how far ahead to look, hours")
     active_spacing_km: float = Field(5, ge=0.5, le=99, description="spacing of active targets, km")
     prefire_spacing_deg: float = Field(0.1, ge=0.005, le=5, description="spacing of pre-fire targets, degrees")
