@@ -23,6 +23,13 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "wind_speed_m_s": (0.0, 75.0, "m/s"),
     "rain_mm": (-0.01, 400.0, "mm per hour"),
 }
+UNITS: dict[str, tuple[str, ...]] = {
+    "temperature_c": ("degC", "degree_Celsius", "degrees_Celsius", "celsius", "deg_C", "C", "°C"),
+    "relative_humidity_pct": ("%", "percent", "pct"),
+    "wind_speed_m_s": ("m/s", "m s-1", "m s^-1", "m s**-1", "meter second-1", "metre second-1"),
+    "rain_mm": ("mm", "mm/h", "mm h-1", "mm/hour", "kg m-2", "kg m-2 h-1"),
+}
+FRACTION_VALUES = 24
 REFUSED_SHARE = 0.01
 LEAD_DAYS = 8
 MIN_HOURS = 6
@@ -65,6 +72,13 @@ def check_weather(values: npt.ArrayLike, name: str, where: str) -> tuple[Array, 
         )
     array[bad] = np.nan
     if name == "relative_humidity_pct":
+        if known >= FRACTION_VALUES and float(np.nanmax(array)) <= 1.0:
+            raise DomainError(
+                f"'{name}' in {where} never exceeds {float(np.nanmax(array)):g}; it is probably a fraction.",
+                field=name,
+                value=float(np.nanmax(array)),
+                accepted=f"{low:g}..{high:g} {unit}",
+            )
         array = np.minimum(array, 100.0)
     if name == "rain_mm":
         array = np.maximum(array, 0.0)
@@ -84,6 +98,7 @@ def weather_from_dataset(dataset: xr.Dataset, where: str = "weather") -> Weather
     times = ordered["time"].to_numpy().astype("datetime64[ns]")
     fields, flagged = {}, {}
     for name in RANGES:
+        _check_unit(ordered[name], name, where)
         fields[name], flagged[name] = check_weather(ordered[name].to_numpy(), name, where)
     return WeatherGrid(
         times,
@@ -92,6 +107,15 @@ def weather_from_dataset(dataset: xr.Dataset, where: str = "weather") -> Weather
         fields,
         flagged,
     )
+
+
+def _check_unit(variable: xr.DataArray, name: str, where: str) -> None:
+    """DomainError where a variable states another unit than its name does."""
+    stated = str(variable.attrs.get("units", "")).strip()
+    if stated and stated.casefold() not in {unit.casefold() for unit in UNITS[name]}:
+        raise DomainError(
+            f"'{name}' in {where} is in '{stated}'.", field=name, value=stated, accepted=", ".join(UNITS[name])
+        )
 
 
 def window(grid: WeatherGrid, start: pd.Timestamp, hours: float) -> WeatherGrid:
