@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from services.arrival.grid import project
 from services.arrival.inference import ArrivalMap
@@ -136,26 +137,33 @@ def read_subgrid(path: str | Path, name: str | None = None) -> FireSubgrid:
     return FireSubgrid(held, rows, columns, (ratio[0], ratio[1]), cell, corner)
 
 
+def _carried_out(hours: Floats) -> Floats:
+    """Arrival with unburned cells filled from the nearest burned one at its own upwind pace, so that interpolation at
+    the edge of the fire leans on a plane and not on fewer corners."""
+    burned = np.isfinite(hours)
+    padded = np.pad(hours, 1, constant_values=np.nan)
+    middle = padded[1:-1, 1:-1]
+    along_rows = np.fmax(middle - padded[:-2, 1:-1], middle - padded[2:, 1:-1])
+    along_columns = np.fmax(middle - padded[1:-1, :-2], middle - padded[1:-1, 2:])
+    pace = np.hypot(*(np.nan_to_num(np.fmax(steps, 0.0)) for steps in (along_rows, along_columns)))
+    distance, nearest = distance_transform_edt(~burned, return_indices=True)
+    at = (nearest[0], nearest[1])
+    return np.where(burned, hours, hours[at] + distance * pace[at])
+
+
 def _sample(arrival: ArrivalMap, lon: Floats, lat: Floats) -> Floats:
-    """Arrival hours at positions: bilinear among burned cells, where the nearest cell burned; NaN elsewhere."""
+    """Arrival hours at positions: bilinear where the nearest cell burned; NaN elsewhere."""
     grid, hours = arrival.grid, arrival.arrival_h
+    if not np.isfinite(hours).any():
+        return np.full(lon.shape, np.nan)
     x, y = project(grid.epsg, lon.ravel(), lat.ravel())
     column, row = (x - grid.x_m[0]) / grid.cell_m, (y - grid.y_m[0]) / grid.cell_m
     rows, columns = grid.shape
     inside = (row > -0.5) & (row < rows - 0.5) & (column > -0.5) & (column < columns - 0.5)
     row, column = np.where(inside, row, 0.0), np.where(inside, column, 0.0)
-    total, weight = np.zeros(row.size), np.zeros(row.size)
-    low_r, low_c = np.floor(row).astype(int), np.floor(column).astype(int)
-    for step_r in (0, 1):
-        for step_c in (0, 1):
-            r, c = np.clip(low_r + step_r, 0, rows - 1), np.clip(low_c + step_c, 0, columns - 1)
-            share = np.abs(1 - step_r - (row - low_r)) * np.abs(1 - step_c - (column - low_c))
-            value = hours[r, c]
-            share = np.where(np.isfinite(value), share, 0.0)
-            total += share * np.nan_to_num(value)
-            weight += share
-    near = np.isfinite(hours[np.rint(row).astype(int), np.rint(column).astype(int)]) & inside & (weight > 0)
-    return np.where(near, total / np.maximum(weight, 1e-12), np.nan).reshape(lon.shape)
+    value = map_coordinates(_carried_out(hours), [row, column], order=1, mode="nearest")
+    near = np.isfinite(hours[np.rint(row).astype(int), np.rint(column).astype(int)]) & inside
+    return np.asarray(np.where(near, value, np.nan).reshape(lon.shape))
 
 
 def tign_g(

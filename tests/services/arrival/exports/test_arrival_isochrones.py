@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 
+from services.arrival.exports.isochrones import isochrone_features, levels, split_at_antimeridian, step_hours
 from services.arrival.extent import gather
 from services.arrival.grid import FireGrid
 from services.arrival.inference import ArrivalMap
-from services.arrival.exports.isochrones import isochrone_features, levels, split_at_antimeridian, step_hours
 from services.arrival.looks import FIRE, Looks
 
 REFERENCE = pd.Timestamp("2022-06-01T05:00Z")
