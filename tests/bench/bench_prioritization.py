@@ -9,41 +9,15 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from pathlib import Path
 
-import numpy as np
-
-from services.prioritization.prefire import danger
-from services.prioritization.prefire.fire_potential import MASK_CODES
-from tests.bench.prioritization.active_fires import START, made_up_weather, skill_of_real_fires, time_of_64_ratings
+from tests.bench.prioritization.active_fires import skill_of_real_fires, time_of_64_ratings
+from tests.bench.prioritization.prefire_danger import conus_day_at_1_km, time_of_a_danger_grid
 
 
 def report(name: str, value: float, unit: str, bar: float | None) -> None:
     """One metric as one line."""
     print(json.dumps({"name": name, "value": round(float(value), 4), "unit": unit, "bar": bar}), flush=True)
-
-
-def time_of_a_danger_grid() -> None:
-    """60 x 60 cells, eight lead days, soil moisture none; the second run."""
-    grid = made_up_weather(30, 192)
-    cells = 60
-    axis = np.linspace(0, 3, cells)
-    flat = np.ones((cells, cells))
-    mask = np.zeros((cells, cells), dtype=np.uint8)
-    mask[0, 0] = max(MASK_CODES)
-    fuels = danger.Fuels(
-        32 + axis, -109 + axis, 0.4 * flat, 0.7 * flat, flat, flat, 25 * flat, mask, flat * 0.05, flat * 0.3
-    )
-    seconds = 0.0
-    for _ in range(2):
-        began = time.perf_counter()
-        conditions = danger.conditions_on_fuels(grid, None, START, fuels)
-        seen = danger.seen_land(fuels, [], [], START, danger.DangerEffects())
-        result = danger.danger(fuels, conditions, seen, START)
-        seconds = time.perf_counter() - began
-        assert int(np.isfinite(result["wfpi"].to_numpy()).sum()) == 8 * (cells * cells - 1)
-    report("danger_60x60_8_days_s", seconds, "s", 2.0)
 
 
 if __name__ == "__main__":
@@ -52,4 +26,8 @@ if __name__ == "__main__":
             report(*metric)
     for metric in time_of_64_ratings():
         report(*metric)
-    time_of_a_danger_grid()
+    for metric in time_of_a_danger_grid():
+        report(*metric)
+    vegetation = Path(os.environ["SMOKEGLINT_DATA"]) / "vegetation" if os.environ.get("SMOKEGLINT_DATA") else None
+    for metric in conus_day_at_1_km(vegetation):
+        report(*metric)
