@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import erfa
 import numpy as np
 import pytest
 
@@ -21,10 +22,10 @@ from services.access.events.contacts import (
     stations_from,
 )
 from services.access.events.crossings import maximum_in, positive_intervals
-from services.access.events.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_position_itrf
+from services.access.events.eclipses import SUN_RADIUS_M, find_eclipses, shadow_depths_rad, sun_curve, sun_position_itrf
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
 from services.access.orbits.formats import read_orbits
-from services.access.orbits.orientation import gmst82_rad, orientation_at
+from services.access.orbits.orientation import J2000_JD, orientation_at
 from shared.errors import DomainError
 from tests.services.access.orbits import RECEIVERS, START
 from tests.services.access.truth import gmat_contact_differences_s, gmat_eclipse_differences_s
@@ -220,23 +221,29 @@ def test_eclipses_agree_with_gmat(real_data: Path) -> None:
 @pytest.mark.parametrize(
     ("when", "longitude_deg"),
     [
-        (datetime(2024, 12, 21, 9, 20, tzinfo=UTC), 270.0),
-        (datetime(2025, 6, 21, 2, 42, tzinfo=UTC), 90.0),
-        (datetime(2025, 9, 22, 18, 19, tzinfo=UTC), 180.0),
+        (datetime(2024, 12, 21, 9, 20, 30, tzinfo=UTC), 270.0),
+        (datetime(2025, 6, 21, 2, 42, 15, tzinfo=UTC), 90.0),
+        (datetime(2025, 9, 22, 18, 19, 19, tzinfo=UTC), 180.0),
         (datetime(2026, 3, 20, 14, 46, tzinfo=UTC), 0.0),
     ],
 )
 def test_the_sun_is_where_equinoxes_and_solstices_put_it(when: datetime, longitude_deg: float) -> None:
-    """Published minutes of the seasons: the Sun moves 0.0007 degrees in one."""
+    """Published minutes of the seasons: the Sun moves 0.0004 degrees in half of one."""
     orientation = orientation_at(when)
     x, y, z = sun_position_itrf(np.zeros(1), orientation)[0]
-    turn = gmst82_rad(orientation.days_ut1(np.zeros(1)))[0]
-    obliquity = np.radians(23.4362)
-    inertial_y = np.sin(turn) * x + np.cos(turn) * y
-    longitude = np.degrees(
-        np.arctan2(inertial_y * np.cos(obliquity) + z * np.sin(obliquity), np.cos(turn) * x - np.sin(turn) * y)
-    )
-    assert abs((longitude - longitude_deg + 180.0) % 360.0 - 180.0) < 0.006
+    tt, ut1 = orientation.days_tt(np.zeros(1))[0], orientation.days_ut1(np.zeros(1))[0]
+    turn = erfa.gst06a(J2000_JD, ut1, J2000_JD, tt)
+    obliquity = erfa.obl06(J2000_JD, tt) + erfa.nut06a(J2000_JD, tt)[1]
+    inertial_x, inertial_y = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    longitude = np.degrees(np.arctan2(inertial_y * np.cos(obliquity) + z * np.sin(obliquity), inertial_x))
+    assert abs((longitude - longitude_deg + 180.0) % 360.0 - 180.0) < 0.0004
+
+
+def test_the_sun_between_its_nodes_is_the_sun() -> None:
+    orientation = orientation_at(START, 86400.0)
+    t_s = np.arange(0.0, 86400.0, 977.0)
+    exact, curve = sun_position_itrf(t_s, orientation), sun_curve(orientation, 86400.0)(t_s)
+    assert np.linalg.norm(exact - curve, axis=1).max() / 1.5e11 < 1e-8  # radians
 
 
 def test_shadow_of_a_satellite_behind_the_equator_is_the_textbook_cone() -> None:
