@@ -39,10 +39,11 @@ CATALOGUE = (
         "overwintered_dc",
         "DC at start-up",
         "1",
-        "carry-over and wetting efficiency 0.75 each unless given",
+        "carry-over and wetting efficiency 0.75 each unless given; fire seasons by temperature (Wotton & Flannigan 1993) "
+        "and winters between them in fire_weather.seasons.canadian_years",
         "Lawson & Armitage 2008",
         LIBRARY,
-        "equations 2-4 by hand 1e-9",
+        "three places of two years against a DC by hand: 0.02",
     ),
     IndexStatement(
         "kbdi",
