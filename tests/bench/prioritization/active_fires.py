@@ -14,6 +14,7 @@ from shapely.geometry import Point
 from services.prioritization import sources, weather
 from services.prioritization.large_fire import evaluation, features, rating, training, validation
 from services.prioritization.large_fire import model as large_fire_model
+from tests.bench.prioritization import fuel_moisture_trial
 
 LABEL = "uncontrolled_within_100_ha"
 FIRST_SEASON = "2013-14"
@@ -50,6 +51,27 @@ def skill_of_real_fires(folder: Path) -> Iterator[Metric]:
     yield "us_mcc", skill["mcc"], "1", None
     yield "us_brier_skill", skill["brier_skill"], "1", None
     yield "us_mcc_best_index", skill["natural"][skill["best_index_by_mcc"]]["mcc"], "1", None
+
+
+def ablation_of_real_fires(folder: Path) -> Iterator[Metric]:
+    """AUC and MCC with index columns only, + weather, + moisture, + land, for trees, regression and their mean."""
+    table = sources.fire_table(folder / "large_fire" / "victoria_2008_2018.csv.gz")
+    fires = validation.checked(table, LABEL, "season", "full")
+
+    def folds(groups: tuple[features.Group, ...]) -> list[validation.Fold]:
+        made = validation.folds(fires, "full", groups=groups)
+        return [fold for fold in made if fold.name >= FIRST_SEASON]
+
+    for row in evaluation.ablation(fires, folds):
+        name = f"{row['columns'].replace(' + ', '_')}_{row['learner']}"
+        yield f"auc_{name}", row["auc"], "1", None
+        yield f"mcc_{name}", row["mcc"], "1", None
+
+
+def fuel_moisture_of_five_years(folder: Path) -> Iterator[Metric]:
+    """The filter against the model alone under five years of a real station's weather; truth and sensor synthetic."""
+    station = fuel_moisture_trial.read_station(folder / "weather" / "raws_260402_hourly_2012_2016.csv.gz")
+    yield from fuel_moisture_trial.metrics(fuel_moisture_trial.run(station))
 
 
 def made_up_weather(cells: int, hours: int) -> weather.WeatherGrid:
