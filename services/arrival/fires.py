@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from services.arrival.assignment import Assignment
 from services.arrival.extent import gather
-from services.arrival.field import FieldSettings, Ignition
 from services.arrival.grid import FireGrid, make_grid
-from services.arrival.inference import ArrivalMap, infer_arrival
-from services.arrival.looks import Looks, looks_from_burned_area, looks_from_detections, merge
+from services.arrival.inference import ArrivalMap, Settings, infer_arrival
+from services.arrival.looks import Ignition, Looks, looks_from_burned_area, looks_from_detections, merge
 from services.arrival.outlines import Outlines, honour, looks_from_outlines, read_outlines
-from services.arrival.paper_method import PaperSettings
 from shared.errors import DomainError
 
 MAX_NO_FIRE = 60_000
@@ -156,7 +154,7 @@ def map_case(
     case: FireCase,
     method: str,
     seed: int,
-    settings: FieldSettings | PaperSettings | None = None,
+    settings: Settings | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> ArrivalMap:
     """The arrival map of a case; without any fire evidence an empty map flagged `no-detection`, where nothing burned

@@ -43,15 +43,17 @@ class InferFireArrivalInputs(ProcessInputs):
     end: AwareDatetime = Field(description="end of the period; later data is ignored")
     cell_m: float = Field(500.0, ge=30, le=5000, description="cell of the map, m")
     margin_km: float = Field(10.0, ge=1, le=50, description="margin of the map around the detections, km")
-    method: Literal["fusion-nn", "fusion-nn-paper", "nearest-detection"] = Field(
-        "fusion-nn", description="network with the likelihood of every look; the paper's network; the plain baseline"
+    method: Literal["arrival-field", "fusion-nn", "svm", "nearest-detection", "fusion-nn-paper"] = Field(
+        "arrival-field",
+        description="smooth field with the likelihood of every look; the paper's network (also by its former name, the "
+        "last); the published support vector machine; the plain baseline",
     )
     min_confidence: float = Field(70.0, ge=0, le=100, description="a fire row needs a higher confidence; null passes")
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of the networks")
     epochs: int | None = Field(
-        None, ge=1, le=5000, description="training epochs (fusion-nn: of ten minibatches each); null: the method's own"
+        None, ge=1, le=5000, description="training epochs (arrival-field: of ten steps each); null: the method's own"
     )
-    ensemble: int | None = Field(None, ge=1, le=32, description="networks in the ensemble of fusion-nn; null: its own")
+    ensemble: int | None = Field(None, ge=1, le=32, description="members of arrival-field; null: its own")
     formats: list[Format] = Field(
         list(ALL_FORMATS), description="what is made beside the netCDF, the map and the GeoJSON isochrones"
     )
@@ -77,12 +79,9 @@ class InferFireArrivalOutputs(ProcessOutputs):
 
 
 def _settings(inputs: InferFireArrivalInputs) -> Any:
-    from services.arrival.field import FieldSettings
-    from services.arrival.inference import quick
-    from services.arrival.paper_method import PaperSettings
+    from services.arrival.inference import own_settings, quick
 
-    own = PaperSettings() if inputs.method == "fusion-nn-paper" else FieldSettings()
-    return quick(own, inputs.epochs, inputs.ensemble)
+    return quick(own_settings(inputs.method), inputs.epochs, inputs.ensemble)
 
 
 def _tasks(inputs: InferFireArrivalInputs, tables: Tables, context: JobContext) -> tuple[list[FireTask], int]:

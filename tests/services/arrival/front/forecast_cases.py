@@ -27,7 +27,7 @@ class FrontScore:
     brier: float
 
 
-def score_front(fire: SyntheticFire, cut_h: float, method: str = "fusion-nn", settings: Any = None) -> FrontScore:
+def score_front(fire: SyntheticFire, cut_h: float, method: str = "arrival-field", settings: Any = None) -> FrontScore:
     """Map the fire from what had been seen by `cut_h` hours after its start, and forecast the 24 h after."""
     end = fire.start + pd.Timedelta(hours=cut_h)
     seen = fire.detections[fire.detections["time"] <= end].reset_index(drop=True)
