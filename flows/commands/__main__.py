@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
-from flows.commands import cases, deciding, keys, products, running, serving
+from flows.commands import cases, deciding, ingesting, keys, products, running, serving
 from shared.errors import SmokeglintError
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.command("run")(running.run)
 app.command("serve")(serving.serve)
 app.command("status")(products.status)
 app.command("products")(products.products)
+app.command("ingest")(ingesting.ingest)
 app.command("approve")(deciding.approve)
 app.command("plans")(deciding.plans)
 app.command("decisions")(deciding.decisions)
@@ -33,12 +34,10 @@ app.add_typer(keys.app, name="key")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; an error that we know is told in a line, with the exit status 1."""
     try:
-        app(args=arguments, standalone_mode=False)
+        ended = app(args=arguments, standalone_mode=False)
     except (SmokeglintError, TimeoutError) as error:
         Console(stderr=True).print(f"[red]{error}[/red]", highlight=False, soft_wrap=True)
         return 1
-    except typer.Exit as ended:
-        return int(ended.exit_code)
     except typer.Abort:
         return 1
     except Exception as error:
@@ -46,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             error.show()
             return int(error.exit_code)
         raise
-    return 0
+    return ended if isinstance(ended, int) else 0
 
 
 if __name__ == "__main__":
