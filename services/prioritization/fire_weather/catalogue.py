@@ -39,8 +39,8 @@ CATALOGUE = (
         "overwintered_dc",
         "DC at start-up",
         "1",
-        "carry-over and wetting efficiency 0.75 each unless given; seasons by temperature (Wotton & Flannigan 1993) and "
-        "the winters between them in fire_weather.seasons.canadian_years",
+        "carry-over and wetting efficiency 0.75 each unless given; seasons by temperature (Wotton & Flannigan 1993) "
+        "and the winters between them in fire_weather.seasons.canadian_years",
         "Lawson & Armitage 2008",
         LIBRARY,
         "three places of two years against a DC by hand: 0.02",
