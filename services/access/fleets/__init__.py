@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from services.access.orbits.constellations import CONSTELLATIONS, letters_of
+from services.access.orbits.elements import refuse_duplicates
 from services.access.orbits.formats import Orbit
 from shared.errors import DomainError
 
@@ -37,12 +38,16 @@ class Fleet:
         A satellite is known by its catalogue number, else by its name. DomainError where none is there.
         """
         by_number = {orbit.catalogue_number: orbit for orbit in orbits if orbit.catalogue_number is not None}
-        by_name = {orbit.name: orbit for orbit in orbits}
+        by_name: dict[str, list[Orbit]] = {}
+        for each in orbits:
+            by_name.setdefault(each.name, []).append(each)
         picked: list[Orbit] = []
         missing: dict[str, str] = {}
         for name, number in self.satellites:
             orbit = by_number.get(number) if number is not None else None
-            orbit = orbit or by_name.get(name)
+            if orbit is None and name in by_name:
+                refuse_duplicates(by_name[name], field, "name", lambda each: each.name)
+                orbit = by_name[name][0]
             if orbit is None:
                 missing[name] = f"it is on the list of {self.name}, but {field} hold no orbit of it"
             else:
@@ -68,11 +73,12 @@ def read_fleet(document: Any, field: str = "fleet") -> Fleet:
     satellites: list[tuple[str, int | None]] = []
     for row, entry in enumerate(document["satellites"]):
         satellites.append(_satellite(entry, row, field))
-        if satellites[-1] in satellites[:-1] or satellites[-1][0] in [name for name, _ in satellites[:-1]]:
+        name, number = satellites[-1]
+        if any(name == other or (number == its and number is not None) for other, its in satellites[:-1]):
             raise DomainError(
-                f"{field}: satellite {satellites[-1][0]} is given twice, the second in row {row}.",
+                f"{field}: satellite {name} ({number}) is given twice, the second in row {row}.",
                 field=field,
-                value=satellites[-1][0],
+                value=name,
                 accepted="one row for each satellite",
             )
     received = document.get("constellations")
@@ -82,8 +88,8 @@ def read_fleet(document: Any, field: str = "fleet") -> Fleet:
         raise DomainError(
             f"{field}: constellations {received} are not known.", field=field, value=received, accepted=", ".join(known)
         )
-    name = str(document.get("fleet") or "fleet")
-    return Fleet(name, tuple(satellites), letters_of(received), bool(document.get("example", False)))
+    title = str(document.get("fleet") or "fleet")
+    return Fleet(title, tuple(satellites), letters_of(received), bool(document.get("example", False)))
 
 
 def _satellite(entry: Any, row: int, field: str) -> tuple[str, int | None]:

@@ -31,7 +31,10 @@ def read_orbits(text: str, field: str = "orbits") -> list[Orbit]:
 
 
 def read_files(files: Sequence[tuple[str, str]], field: str = "orbits") -> list[Orbit]:
-    """The orbits of several files ``(name, text)``, which may be of different formats; places then name the file."""
+    """The orbits of several files ``(name, text)``, which may be of different formats; places then name the file.
+
+    One catalogue number stands for one satellite; that names are not shared is asked for of those that are used.
+    """
     found: list[Orbit] = []
     for name, text in files:
         label = f"{field} ({name})" if len(files) > 1 else field
@@ -42,7 +45,6 @@ def read_files(files: Sequence[tuple[str, str]], field: str = "orbits") -> list[
             )
         found += [replace(orbit, where=f"{orbit.where} of {name}") for orbit in orbits] if len(files) > 1 else orbits
     refuse_duplicates(found, field, "satellite", lambda orbit: orbit.catalogue_number)
-    refuse_duplicates(found, field, "name", lambda orbit: orbit.name)
     return found
 
 

@@ -50,7 +50,10 @@ class XmlEvent:
 
 
 def keyword_line(text: str, number: int, name: str) -> tuple[str, str]:
-    """Keyword and value of a KVN line, a unit in brackets taken off; DomainError naming the line if it is none."""
+    """Keyword and value of a KVN line, a unit in brackets and the prefix of a user's own keyword taken off.
+
+    DomainError naming the line if it is none.
+    """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise DomainError(
@@ -59,7 +62,7 @@ def keyword_line(text: str, number: int, name: str) -> tuple[str, str]:
             value=text.strip()[:80],
             accepted="KEYWORD = value",
         )
-    return key.strip().upper(), _UNIT.sub("", value).strip()
+    return key.strip().upper().removeprefix("USER_DEFINED_"), _UNIT.sub("", value).strip()
 
 
 def xml_events(text: str, name: str) -> list[XmlEvent]:
@@ -97,6 +100,8 @@ class _Collector(xml.sax.ContentHandler):
     def startElement(self, name: str, attrs: Any) -> None:
         line = int(self._locator.getLineNumber())
         tag = name.rpartition(":")[2]
+        if tag == "USER_DEFINED":
+            tag = attrs.get("parameter", tag)
         self._open.append((tag, line, []))
         self.events.append(XmlEvent("start", tag, "", line))
 

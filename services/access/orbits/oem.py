@@ -189,8 +189,9 @@ def _numbers(part: _Part, name: str) -> Array:
         numbers = np.array([[_number(text) for text in row[1:7]] for row in part.rows])
     bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
     if len(bad):
-        row = int(bad[0])
-        raise _fault(name, part.lines[row], "a state that is no numbers", " ".join(part.rows[row]), "epoch and numbers")
+        first = int(bad[0])
+        text = " ".join(part.rows[first])
+        raise _fault(name, part.lines[first], "a state that is no numbers", text, "epoch and numbers")
     return numbers
 
 

@@ -94,8 +94,10 @@ def prepare(
     """States of every usable orbit on nodes at most ``node_s`` apart from ``start`` (UTC) to the horizon's end.
 
     Left out with the reason: elements too far from the start, satellites that have come down or for which SGP4 fails,
-    tables that do not reach over the horizon. Raises DomainError with the reasons where that leaves none.
+    tables that do not reach over the horizon. Raises DomainError with the reasons where that leaves none, and where two
+    share a name.
     """
+    refuse_duplicates(orbits, name, "name", lambda orbit: orbit.name)
     sets = [orbit for orbit in orbits if isinstance(orbit, ElementSet)]
     tables = [orbit for orbit in orbits if isinstance(orbit, TabulatedOrbit)]
     fresh, old = within_age(sets, start, max_age_days, name, others=bool(tables))

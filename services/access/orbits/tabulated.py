@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,7 +133,7 @@ def _states(orbit: TabulatedOrbit, at_s: Array) -> tuple[Array, Array, float]:
     return position, velocity, bound
 
 
-def _spline(segment: Segment, first_s: float, last_s: float):  # type: ignore[no-untyped-def]
+def _spline(segment: Segment, first_s: float, last_s: float) -> tuple[Any, float]:
     """The spline through the states about ``first_s`` to ``last_s``, and how far one of a lower degree differs."""
     from scipy.interpolate import make_interp_spline
 

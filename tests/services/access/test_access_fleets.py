@@ -35,6 +35,15 @@ def test_a_fleet_is_picked_from_a_catalogue_by_number_and_renamed() -> None:
         fleet.pick(read_orbits(TRANSMITTERS))
 
 
+def test_only_the_names_that_a_fleet_takes_must_be_unique() -> None:
+    """Catalogues are full of satellites of one name; a list by number does not mind, one by that name does."""
+    orbits = read_orbits(RECEIVERS.replace("CYGFM04", "CYGFM05") + TRANSMITTERS)
+    by_number = read_fleet({"satellites": [{"satellite": "X", "catalogue_number": 41885}]})
+    assert [orbit.where for orbit in by_number.pick(orbits)[0]] == ["line 5"]
+    with pytest.raises(DomainError, match="name CYGFM05 is given twice, in line 2 and line 5"):
+        read_fleet({"satellites": [{"satellite": "CYGFM05"}]}).pick(orbits)
+
+
 def test_the_example_says_that_it_is_one() -> None:
     fleet = shipped_fleet("example_commercial")
     assert fleet.example and "EXAMPLE" in fleet.name
@@ -53,6 +62,7 @@ def test_the_example_says_that_it_is_one() -> None:
         ({"satellites": [{"satellite": "A"}, {"name": "B"}]}, "row 1 names no satellite"),
         ({"satellites": [{"satellite": "A", "catalogue_number": "41884"}]}, "row 0 names no satellite"),
         ({"satellites": [{"satellite": "A"}, {"satellite": "A", "catalogue_number": 1}]}, "given twice"),
+        ({"satellites": [{"satellite": n, "catalogue_number": 1} for n in "AB"]}, r"B \(1\) is given twice.*row 1"),
         ({"satellites": [{"satellite": "A"}], "constellations": ["GLONASS"]}, "GLONASS"),
     ],
 )

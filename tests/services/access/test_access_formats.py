@@ -68,7 +68,6 @@ def test_an_epoch_by_day_of_year_is_the_same_day() -> None:
         ('<?xml version="1.0"?>\n<!DOCTYPE omm>\n<omm></omm>', "line 2: XML with a document type"),
         ("<ndm></ndm>", "no element sets"),
         (json.dumps([OMM, {**OMM, "NORAD_CAT_ID": "x"}]), "row 1: unreadable OMM .NORAD_CAT_ID 'x'"),
-        (json.dumps([OMM, {**OMM, "NORAD_CAT_ID": "7"}]), "name CYGFM05 is given twice, in row 0 and row 1"),
         (omm_kvn([OMM, OMM]), "satellite 41884 is given twice, in line 1 and line 18"),
         (RECEIVERS + "CYGFM09\n", "line 7: a name without elements"),
     ],
@@ -230,6 +229,17 @@ def test_leap_seconds_are_those_of_iers() -> None:
     expected = np.array(["2017-01-01T00:00:00", "2016-12-31T00:00:00"], dtype="datetime64[us]")
     assert np.array_equal(to_utc(gps, "GPS"), expected)
     assert to_utc(gps[:1], "TT")[0] == np.datetime64("2016-12-31T23:59:09.816", "us")
+
+
+@pytest.mark.parametrize("writer", [omm_xml, omm_kvn])
+def test_decay_is_read_from_a_users_own_keywords(writer: object) -> None:
+    row = {**OMM, "USER_DEFINED_DECAY_DATE": "2022-11-30"}
+    text = writer([row])  # type: ignore[operator]
+    for end in ("", "/"):
+        tag = f'<{end}USER_DEFINED parameter="DECAY_DATE">' if not end else "</USER_DEFINED>"
+        text = text.replace(f"<{end}USER_DEFINED_DECAY_DATE>", tag)
+    (orbit,) = read_orbits(text)
+    assert isinstance(orbit, ElementSet) and orbit.decayed == datetime(2022, 11, 30, tzinfo=UTC)
 
 
 def test_names_with_signs_of_xml_survive() -> None:

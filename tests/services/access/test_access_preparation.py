@@ -146,6 +146,12 @@ def test_of_many_reasons_a_few_are_told() -> None:
         prepare(far, old, 3600.0, 60.0, 30.0, "transmitters")
 
 
+def test_two_receivers_of_one_name_are_refused_with_both_lines() -> None:
+    same = read_orbits(RECEIVERS.replace("CYGFM04", "CYGFM05"))
+    with pytest.raises(DomainError, match="name CYGFM05 is given twice, in line 2 and line 5"):
+        prepare(same, START, 600.0, 10.0, 30.0, "receivers")
+
+
 def test_elements_and_tables_are_used_side_by_side_in_order_of_name() -> None:
     sets = _sets(RECEIVERS)
     table = _table(propagate(sets[:1], START, DAY_S, 60.0)[0][0])
