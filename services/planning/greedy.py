@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.planning.annealing_plan import allot_downlinks, energy_binds
 from services.planning.coverage import reduce_coverage
 from services.planning.data_cycles import Chunks
-from services.planning.local_search import construct, search_space
 from services.planning.problem import IntArray, PlanningProblem
+from services.planning.search.space import allot_downlinks, construct, energy_binds, search_space
 
 DOWNLINK_SHARES = (1.0, 0.75, 0.5, 0.25)
 """Shares of contact time tried where downlinking in all of it would empty the battery."""
@@ -26,8 +25,8 @@ def greedy_images(problem: PlanningProblem, chunks: Chunks) -> IntArray:
     binds = energy_binds(problem, chunks)
     best: IntArray = problem.frozen_images
     for share in DOWNLINK_SHARES if binds else DOWNLINK_SHARES[:1]:
-        allotted = allot_downlinks(problem, chunks, links * share, spare=not binds)
-        space, order = search_space(problem, chunks, coverage, allotted)
+        allotment = allot_downlinks(chunks, links * share, spare=not binds)
+        space, order = search_space(problem, chunks, coverage, allotment.per_chunk())
         chosen = construct(space, np.argsort(-reward[order], kind="stable"))
         images = np.sort(coverage.image[order][chosen])
         if problem.objective(images) > problem.objective(best):

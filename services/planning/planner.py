@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.planning.annealing_plan import search_plan
 from services.planning.coverage import Coverage, reduce_coverage
 from services.planning.data_cycles import Chunks, build_chunks
 from services.planning.downlinks import Timeline, emit_timeline
-from services.planning.greedy import complete
-from services.planning.milp import build_model
+from services.planning.greedy import complete, greedy_images
+from services.planning.milp import DataCycleModel, build_model
 from services.planning.problem import BoolArray, IntArray, PlanningProblem
-from services.planning.solving import Solution, branch_and_bound, solve_relaxation
+from services.planning.quotas import whole_quotas
+from services.planning.search.guided import search_plan, search_start
+from services.planning.solving import Solution, branch_and_bound, solve_relaxation, trivial_bound
 from services.planning.timeline import TOLERANCE_WH, battery_wh
 from shared.errors import DomainError
 
@@ -25,13 +27,15 @@ NODES = 400
 ROUNDS = 6
 MOVES_PER_UNIT = 1_000_000
 DEFAULT_WORK = 20.0
+QUOTA_GUARD_S = 20.0
 
 Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
 class Options:
-    """``mip_gap`` relative; ``time_limit_s`` a guard; ``work_limit`` counted units (a million search moves each)."""
+    """``mip_gap`` relative; ``time_limit_s`` a guard; ``work_limit`` counted units (a million search steps on each
+    of two cores)."""
 
     mip_gap: float = 0.005
     time_limit_s: float = 60.0
@@ -225,22 +229,37 @@ def _solve(
         value = problem.objective(chosen)
         if first.feasible and first.bound - value <= options.mip_gap * max(first.bound, 1e-9):
             return chosen, first.bound, "branch and bound", first.time_limited
+    best, bound, cut = _search(problem, chunks, coverage, model, seed, first, options, clock, progress)
+    if first is not None and first.feasible:
+        best = max(best, coverage.image[first.images > 0.5], key=problem.objective)
+    return best, bound, "interior-point and quota bounds, heat-bath annealing", cut
+
+
+def _search(
+    problem: PlanningProblem, chunks: Chunks, coverage: Coverage, model: DataCycleModel, seed: IntArray | None,
+    first: Solution | None, options: Options, clock: Clock, progress: Progress,
+) -> tuple[IntArray, float, bool]:  # fmt: skip
+    """Images, proven bound and whether time cut it: relaxation, quotas, annealing. Reports all three on the way."""
+    _tell(progress, 16, "relaxation", problem.objective(greedy_images(problem, chunks)), trivial_bound(model))
     relaxation = solve_relaxation(model, max(5.0, clock.left() * 0.7))
-    progress(45, f"bound {relaxation.bound:.6g}")
-    bound = min(relaxation.bound, first.bound) if first else relaxation.bound
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, QUOTA_GUARD_S)
+                 for guide in (True, False)]  # fmt: skip
+        guide, proof = (task.result() for task in tasks)
+    bound = min(relaxation.bound, proof.bound, first.bound if first is not None else np.inf)
+    start = search_start(problem, chunks, coverage, relaxation, guide, seed)
     moves = int(options.work_limit * MOVES_PER_UNIT)
-    chosen, cut = search_plan(
-        problem, chunks, coverage, model, relaxation, seed, moves,
-        lambda done, value: _guard(done, moves, value, bound, options, clock, progress),
-    )  # fmt: skip
-    candidates = [chosen] if first is None or not first.feasible else [chosen, coverage.image[first.images > 0.5]]
-    best = max(candidates, key=problem.objective)
-    slow = relaxation.time_limited or (first is not None and first.time_limited)
-    return best, bound, "interior-point bound and annealing", cut or slow
+
+    def guard(done: int, images: IntArray) -> bool:
+        percent = 45 + 35 * done / max(1, moves)
+        _tell(progress, percent, f"search {done}/{moves} steps", problem.objective(images), bound)
+        return clock.left() <= 0
+
+    images, cut = search_plan(start, moves, guard)
+    slow = relaxation.time_limited or guide.time_limited or (first is not None and first.time_limited)
+    return images, bound, cut or slow
 
 
-def _guard(
-    done: int, moves: int, value: float, bound: float, options: Options, clock: Clock, progress: Progress
-) -> bool:
-    progress(45 + 35 * done / max(1, moves), f"search {done}/{moves} moves, bound {bound:.6g}")
-    return clock.left() <= 0
+def _tell(progress: Progress, percent: float, stage: str, incumbent: float, bound: float) -> None:
+    gap = max(0.0, 1 - incumbent / bound) if bound > 0 else 0.0
+    progress(percent, f"{stage}, incumbent {incumbent:.7g}, bound {bound:.7g}, gap {100 * gap:.3f} %")

@@ -33,6 +33,8 @@ class Solution:
     feasible: bool
     time_limited: bool
     nodes: int = 0
+    dual: FloatArray | None = None
+    """Row multipliers of a relaxation."""
 
 
 def to_proto(model: DataCycleModel, whole: BoolArray) -> model_pb2.ModelProto:
@@ -81,7 +83,7 @@ def solve_relaxation(model: DataCycleModel, time_limit_s: float) -> Solution:
     bound, reduced = lagrangian_bound(model, dual)
     return Solution(
         values[: model.images], _links(model, values), min(bound, trivial_bound(model)), reduced[: model.images],
-        feasible=True, time_limited=False,
+        feasible=True, time_limited=False, dual=dual,
     )  # fmt: skip
 
 

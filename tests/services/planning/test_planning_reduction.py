@@ -10,9 +10,12 @@ import pytest
 from services.planning.building import build_problem
 from services.planning.coverage import reduce_coverage
 from services.planning.data_cycles import build_chunks
-from services.planning.local_search import anneal, construct, search_space
 from services.planning.milp import build_model, lagrangian_bound
 from services.planning.problem import PlanningProblem
+from services.planning.quotas import whole_quotas
+from services.planning.search.annealing import Search, anneal
+from services.planning.search.kernels import satellite_ok
+from services.planning.search.space import allot_downlinks, construct, energy_binds, search_space
 from services.planning.solving import branch_and_bound, solve_relaxation
 from services.planning.spacecraft_limits import satellite_limits
 from tests.services.planning.planning_cases import Case, exhaustive_optimum, random_case
@@ -72,16 +75,50 @@ def test_any_multipliers_give_a_bound(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
+def test_whole_quotas_tighten_the_bound_and_never_cut_a_plan_off(seed: int) -> None:
+    case = random_case(seed)
+    problem = problem_of(case)
+    chunks, coverage = reduced(problem)
+    model = build_model(problem, chunks, coverage)
+    relaxation = solve_relaxation(model, 10.0)
+    quotas = whole_quotas(model, chunks, coverage, relaxation, guide=False, time_limit_s=10.0)
+    assert quotas.feasible
+    assert exhaustive_optimum(case) - 1e-6 <= quotas.bound <= relaxation.bound + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
 def test_annealing_never_loses_and_repeats_exactly(seed: int) -> None:
     problem = problem_of(random_case(seed, 3, 24, tight=False))
     chunks, coverage = reduced(problem)
-    downlink = np.zeros(len(chunks), np.int64)
-    space, order = search_space(problem, chunks, coverage, downlink)
+    links = np.zeros(len(chunks.link_chunk))
+    allotment = allot_downlinks(chunks, links, spare=not energy_binds(problem, chunks))
+    space, order = search_space(problem, chunks, coverage, allotment.per_chunk())
     start = construct(space, np.arange(len(space.chunk)))
-    first, again = (anneal(space, start, 20_000, 1.0, 0.05) for _ in range(2))
+    first, again = (anneal(space, allotment, start, 250_000, 1.0, 0.05) for _ in range(2))
     assert np.array_equal(first.chosen, again.chosen)
     assert first.value >= problem.objective(coverage.image[order][start]) - 1e-9
     assert first.value == pytest.approx(problem.objective(coverage.image[order][first.chosen]))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_annealing_keeps_counters_and_resources(seed: int) -> None:
+    """After many steps the incremental counters are what a recount gives, and stations hold what they have."""
+    problem = problem_of(random_case(seed, 3, 24))
+    chunks, coverage = reduced(problem)
+    allotment = allot_downlinks(chunks, chunks.cell_free_s[chunks.link_cell] / 3.0, spare=False)
+    space, _ = search_space(problem, chunks, coverage, allotment.per_chunk())
+    search = Search(space, allotment, construct(space, np.arange(len(space.chunk))), seed)
+    search.run(20_000, 1.0, 0.05)
+    kept = {name: getattr(search, name).copy() for name in ("cover", "count", "open_value", "sole_value")}
+    assert search.totals[0] == pytest.approx(search._count())
+    for name, value in kept.items():
+        assert getattr(search, name) == pytest.approx(value, abs=1e-9), name
+    used = np.bincount(chunks.link_cell, search.link_s, minlength=len(chunks.cell_free_s))
+    assert (search.link_s >= 0).all()
+    assert (used <= chunks.cell_free_s).all()
+    assert search.numbers[:, 5] == pytest.approx(np.bincount(chunks.link_chunk, search.link_s, minlength=len(chunks)))
+    for s in range(len(problem.satellites)):
+        assert satellite_ok(s, search.count, space.chunk_offset, search.numbers, space.limits)
 
 
 def test_shared_cuts_make_station_cells_equal() -> None:

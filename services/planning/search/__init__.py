@@ -1,0 +1,1 @@
+"""Counted, seeded search over image sets on both cores, guided by the relaxation."""
