@@ -200,8 +200,8 @@ def choose_removal(state, rec, frozen, s, t, least, window):
 @njit(cache=True)
 def anneal_blocks(
     moves, hot, cold, state, rec, best, totals, cover, count, commands, image_at, start, target, value, segment,
-    segment_first, day, allowed, frozen, image_s, image_t, image_k, sat_first, offset, numbers, limits, slew, initial,
-    reach, least, fill, budget,
+    segment_first, day, allowed, frozen, image_s, image_t, image_k, pick, sat_first, offset, numbers, limits,
+    slew, initial, reach, least, fill, budget,
 ):  # fmt: skip
     """``moves`` proposals of geometric cooling from ``hot`` to ``cold``; ``totals`` holds value and best value."""
     gone, came = np.zeros(2, np.int64), np.zeros(2, np.int64)
@@ -213,7 +213,7 @@ def anneal_blocks(
         if move == moves:
             break
         warmth = hot * (cold / hot) ** (move / moves)
-        i = int(draw(state) * len(image_s))
+        i = pick[int(draw(state) * len(pick))]
         s, t, k = image_s[i], image_t[i], image_k[i]
         gone[0] = gone[1] = came[0] = came[1] = 0
         kind = draw(state)

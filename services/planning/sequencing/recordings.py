@@ -15,8 +15,12 @@ from services.planning.sequencing.passes import widened
 
 REQUIRED_BONUS = 1e6
 """Extra value of a mandatory target inside the search: no sum of others outweighs it."""
-HOT, COLD = 1.0, 0.02
-"""Annealing temperatures, in mean values of a recorded image."""
+HOT, COLD = 1.0, 0.01
+"""Annealing temperatures, in mean values of the shortest recording."""
+FAVOURED_SHARE = 0.35
+"""Share of the proposals around images that see a target worth far more than most, which are few."""
+FAVOURED_VALUE = 5.0
+"""What makes a target one of those: times the mean value of a recorded image."""
 BATCH_MOVES = 100_000
 
 
@@ -36,7 +40,7 @@ def search_recordings(
 
     ``scale`` is what an image is worth on average; ``stop(moves done)`` is the guard between batches.
     """
-    space = _space(problem, rules, downlink, required)
+    space = _space(problem, rules, downlink, required) | {"pick": _proposals(problem, required, scale)}
     if not len(problem.images):
         return Recordings(space["rec"].astype(np.int64), False)
     totals = np.zeros(2)
@@ -49,7 +53,8 @@ def search_recordings(
             cut = True
             break
         batch = min(BATCH_MOVES, moves - done)
-        hot, cold = (scale * HOT * (COLD / HOT) ** (x / moves) for x in (done, done + batch))
+        warmest = scale * rules.min_collect_s * HOT
+        hot, cold = (warmest * (COLD / HOT) ** (x / moves) for x in (done, done + batch))
         anneal_blocks(batch, hot, cold, state, best=best, totals=totals, **space)
         done += batch
     return Recordings(best.astype(np.int64), cut)
@@ -89,6 +94,17 @@ def _space(
         "numbers": numbers, "limits": limits, "slew": slew, "initial": initial, "reach": reach,
         "least": rules.min_collect_s, "fill": rules.min_collect_s > 1, "budget": budget,
     }  # fmt: skip
+
+
+def _proposals(problem: PlanningProblem, required: BoolArray, scale: float) -> IntArray:
+    """Images to propose (places in order of satellite and second), the favoured ones so often that they get theirs."""
+    own = problem.images
+    order = np.lexsort((own.second, own.satellite))
+    rich = required | (problem.targets.value > FAVOURED_VALUE * scale)
+    worth = np.bincount(own.image_of_entry()[rich[own.target]], minlength=len(own))[order]
+    few = np.flatnonzero(worth > 0)
+    repeats = int(FAVOURED_SHARE / (1 - FAVOURED_SHARE) * len(own) / len(few)) if len(few) else 0
+    return np.concatenate([np.arange(len(own)), np.tile(few, repeats)]).astype(np.int64)
 
 
 def _frozen(problem: PlanningProblem) -> tuple[np.ndarray, BoolArray]:
