@@ -36,9 +36,11 @@ test: $(READY) ## all tests, in parallel
 	@echo "Running the tests ..."
 	@$(PY) -m pytest -q -n 2 --dist loadgroup $(TESTS)
 
-lint: $(READY) ## ruff, and mypy (strict on shared/)
+lint: $(READY) ## ruff, mypy (strict on shared/), a scan for secrets, an audit of dependencies
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/mypy --strict shared
+	@$(PY) -m tests.lint.secrets
+	@$(PY) -m tests.lint.dependencies
 
 bench: $(SERVICES:%=bench-%) ## every service's benchmark, one JSON object a line
 
