@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from services.access.coverage.places import REPORTED_RADII_KM
 from services.access.coverage.revisit import Revisits, summary
 from services.access.coverage.robustness import AT_EPOCH_KM, DRAG_SHARE, PER_DAY_KM, expected_error
+from services.access.events.contacts import Station
 from services.access.orbits import statement
 from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S
 from services.access.orbits.formats import Orbit
@@ -33,7 +35,11 @@ class Tally:
 
 
 def report(
-    access: Access, tally: Tally, targets: Revisits | None = None, cells: Revisits | None = None
+    access: Access,
+    tally: Tally,
+    targets: Revisits | None = None,
+    cells: Revisits | None = None,
+    stations: Sequence[Station] = (),
 ) -> dict[str, Any]:
     """Ages, errors, what was left out, method, counts, coverage and revisits; ``access.satellites`` hold the events."""
     horizon = access.horizon
@@ -43,6 +49,7 @@ def report(
         "step_s": horizon.step_s,
         "receivers": [_receiver_row(orbit, access) for orbit in access.receivers],
         "transmitters": [_orbit_row(orbit, access) for orbit in access.transmitters],
+        "stations": [_station_row(station) for station in stations],
         "dropped": access.dropped,
         "warnings": warnings(access),
         "position_error": {"gps_sgp4": statement.GPS_POSITION_ERROR, "receivers": _along_track(access)},
@@ -69,6 +76,21 @@ def report(
             "cells": None if cells is None else summary(cells.frame()),
         },
         "specular_angle_max_deg": max((found.worst_angle_deg for found in access.satellites), default=0.0),
+    }
+
+
+def _station_row(station: Station) -> dict[str, Any]:
+    """How a station's numbers were understood."""
+    mask = station.azimuth_mask
+    horizon = (
+        None if mask is None else [list(pair) for pair in zip(mask.azimuths_deg, mask.elevations_deg, strict=True)]
+    )
+    return {
+        "station": station.name,
+        "datum": station.datum,
+        "up": station.up,
+        "mask_deg": station.mask_deg,
+        "azimuth_mask_deg": horizon,
     }
 
 

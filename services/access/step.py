@@ -104,9 +104,7 @@ def _orbits(context: JobContext, files: ArtifactRef | list[ArtifactRef], name: s
     )
 
 
-def _targets(
-    inputs: PredictAccessInputs, context: JobContext
-) -> tuple[NDArray[np.int64], Places | None]:
+def _targets(inputs: PredictAccessInputs, context: JobContext) -> tuple[NDArray[np.int64], Places | None]:
     if inputs.targets is None:
         return np.zeros(0, dtype=np.int64), None
     targets = context.read_table(inputs.targets, "TARGETS")
@@ -162,7 +160,7 @@ def _outputs(
     places: Places | None,
 ) -> PredictAccessOutputs:
     access = delivery.access
-    summary = report(access, delivery.tally, delivery.targets, delivery.cells)
+    summary = report(access, delivery.tally, delivery.targets, delivery.cells, stations)
     counts = summary["counts"]
     return PredictAccessOutputs(
         opportunities=context.ref("opportunities.parquet"),

@@ -249,6 +249,16 @@ def test_good_and_doubtful_input_is_answered_over_http(service: tuple[TestClient
     assert "a gap from 2022-12-03T23:45:00Z (lines" in report["dropped"]["G13"]
     assert outputs["contact_count"] == 0 < report["counts"]["contacts_too_short"]
     assert any("with hawaii" in line and "shorter than the 3600 s" in line for line in outputs["warnings"])
+    assert report["stations"] == [
+        {"station": "pole", "datum": "geodetic", "up": "spherical", "mask_deg": 7.0, "azimuth_mask_deg": None},
+        {
+            "station": "hawaii",
+            "datum": "geodetic",
+            "up": "geodetic",
+            "mask_deg": 7.0,
+            "azimuth_mask_deg": [[0, 8], [180, 9]],
+        },
+    ]
     assert {row["source"] for row in report["transmitters"]} == {"sp3"}
     assert all(row["newer_than_start"] and row["interpolation_error_m"] < 1.0 for row in report["transmitters"])
     picture = Path(outputs["timeline"]["href"].removeprefix("file://"))
