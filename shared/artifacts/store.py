@@ -94,6 +94,10 @@ class ArtifactStore:
                 return None
         return manifest
 
+    def record(self, address: StepAddress) -> Manifest | None:
+        """What a step says of itself, its files not verified; None if it has no readable manifest."""
+        return self._read_manifest(self._fs, self._folder(address))
+
     def reference(self, address: StepAddress, name: str, entry: FileEntry) -> ArtifactRef:
         """The reference to one file of a finished step."""
         return ArtifactRef(href=self._url(address, name), type=entry.type, sha256=entry.sha256)

@@ -81,6 +81,16 @@ def run_step(
     return _outputs(step.address, store, manifest)
 
 
+def facts(step: Step, store: ArtifactStore) -> dict[str, Any]:
+    """What the metrics tell of a finished step: bytes written, time of its oldest input, share simulated."""
+    manifest = store.record(step.address)
+    if manifest is None:
+        return {}
+    written = sum(entry.size for entry in manifest.files.values())
+    product = manifest.product
+    return {"bytes": written, "oldest_input": product.oldest_input, "simulated_share": product.simulated_share}
+
+
 def _outputs(address: StepAddress, store: ArtifactStore, manifest: Manifest) -> dict[str, Any]:
     return {name: _absolute(value, address, store, manifest) for name, value in manifest.outputs.items()}
 

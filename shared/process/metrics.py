@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from datetime import datetime
+from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
@@ -21,6 +23,22 @@ class ServiceMetrics:
         self._seconds = Histogram(
             "smokeglint_job_seconds", "Duration of jobs", labels, buckets=_BUCKETS, registry=self._registry
         )
+        self._outputs = Gauge(
+            "smokeglint_output",
+            "Last value of a process's numeric output",
+            (*labels, "output"),
+            registry=self._registry,
+        )
+        self._oldest = Gauge(
+            "smokeglint_oldest_input_timestamp_seconds",
+            "Time of the oldest datum behind the last product",
+            labels,
+            registry=self._registry,
+        )
+        self._simulated = Gauge(
+            "smokeglint_simulated_share", "Simulated share of the last product", labels, registry=self._registry
+        )
+        self._bytes = Counter("smokeglint_written_bytes", "Bytes of finished products", labels, registry=self._registry)
         self._queue = Gauge("smokeglint_jobs_queued", "Jobs waiting", ("service",), registry=self._registry)
 
     def timing(self, process: str) -> AbstractContextManager[object]:
@@ -30,6 +48,19 @@ class ServiceMetrics:
     def count(self, process: str, status: str) -> None:
         """Count an ended job."""
         self._jobs.labels(self._service, process, status).inc()
+
+    def describe(self, process: str, outputs: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
+        """Show what a finished job made: its numbers (gap, counts, …), its size, the age of what it rests on."""
+        for name, value in outputs.items():
+            if isinstance(value, int | float):
+                self._outputs.labels(self._service, process, name).set(float(value))
+        if not facts:
+            return
+        self._bytes.labels(self._service, process).inc(facts["bytes"])
+        self._simulated.labels(self._service, process).set(facts["simulated_share"])
+        if facts["oldest_input"]:
+            oldest = datetime.fromisoformat(facts["oldest_input"].replace("Z", "+00:00"))
+            self._oldest.labels(self._service, process).set(oldest.timestamp())
 
     def watch_queue(self, length: Callable[[], float]) -> None:
         """Let the queue gauge read its value when it is asked."""

@@ -190,6 +190,7 @@ class _Slot(threading.Thread):
             return False
         if message["event"] == "done":
             self._pool._jobs.update(job.id, "successful", progress=100.0, message="", outputs=message["outputs"])
+            self._pool._metrics.describe(job.process, message["outputs"], message["facts"])
         else:
             detail = message["problem"].get("detail", "")
             self._pool._jobs.update(job.id, "failed", message=detail, problem=message["problem"])

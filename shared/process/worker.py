@@ -77,7 +77,7 @@ def _run(
         outputs = execution.finished_outputs(step, store)
         if outputs is None:
             outputs = execution.run_step(step, store, settings.service, request["job"], report, settings.limits)
-        return {"event": "done", "outputs": outputs}
+        return {"event": "done", "outputs": outputs, "facts": execution.facts(step, store)}
     except Exception as error:
         if not isinstance(error, SmokeglintError):
             logger().error("job failed", process=process.id, job=request["job"], trace=traceback.format_exc())

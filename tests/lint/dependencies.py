@@ -32,7 +32,7 @@ def main() -> int:
     if not audited:
         print("dependencies: NOT AUDITED, the vulnerability database cannot be reached from here")
     else:
-        print(f"dependencies: {len(audited)} audited, {missing} not found there, {len(found)} with known vulnerabilities")
+        print(f"dependencies: {len(audited)} audited, {missing} unknown there, {len(found)} vulnerable")
     return 1 if found else 0
 
 

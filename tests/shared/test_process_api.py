@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 from pathlib import Path
@@ -57,7 +58,12 @@ def test_sync_execution_answers_with_checked_artifacts(toy: TestClient, targets_
     assert read_table(made, tables.TARGETS)["priority"].tolist() == [2.0, 0.5]
     assert read_attributes(made)["simulated"] is False
     counted = 'smokeglint_jobs_total{process="scale-targets",service="toy",status="successful"}'
-    assert counted in toy.get("/metrics").text
+    page = toy.get("/metrics").text
+    assert counted in page
+    assert 'smokeglint_output{output="count",process="scale-targets",service="toy"} 2.0' in page
+    assert 'smokeglint_simulated_share{process="scale-targets",service="toy"} 0.0' in page
+    written = re.search(r'smokeglint_written_bytes_total{process="scale-targets",service="toy"} (\S+)', page)
+    assert written is not None and float(written[1]) >= made.stat().st_size
 
 
 def test_async_execution_reports_location_and_results(toy: TestClient, targets_file: Path) -> None:
