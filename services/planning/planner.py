@@ -23,6 +23,8 @@ from shared.errors import DomainError
 
 SMALL_ENTRIES = 12_000
 """Image-target pairs (reduced) up to which branch and bound runs first."""
+PROVEN_GAP = 1e-8
+"""A relative gap that is rounding: nothing is left to search for."""
 NODES = 400
 ROUNDS = 6
 MOVES_PER_UNIT = 1_000_000
@@ -227,7 +229,7 @@ def _solve(
         first = branch_and_bound(model, whole, options.mip_gap, NODES, clock.left() / 2)
         chosen = coverage.image[first.images > 0.5]
         value = problem.objective(chosen)
-        if first.feasible and first.bound - value <= options.mip_gap * max(first.bound, 1e-9):
+        if first.feasible and first.bound - value <= max(options.mip_gap, PROVEN_GAP) * max(first.bound, 1e-9):
             return chosen, first.bound, "branch and bound", first.time_limited
     best, bound, cut = _search(problem, chunks, coverage, model, seed, first, options, clock, progress)
     if first is not None and first.feasible:
