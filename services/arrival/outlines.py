@@ -158,7 +158,8 @@ def honour(arrival: ArrivalMap, outlines: Outlines, looks: Looks, start_h: float
     low = np.maximum(after, start_h)
     inside = np.isfinite(by)
     width = np.where(inside, by - np.minimum(low, by), np.inf)
-    hours = np.where(inside & ~np.isfinite(arrival.arrival_h), by - width / 2, arrival.arrival_h)
+    middle = by - np.where(inside, width, 0.0) / 2
+    hours = np.where(inside & ~np.isfinite(arrival.arrival_h), middle, arrival.arrival_h)
     stale = ~inside & (hours <= after) & ~_seen_since(arrival.grid, looks, after)
     hours = np.where(stale, np.nan, np.minimum(np.fmax(hours, np.where(np.isnan(hours), hours, low)), by))
     sd = np.fmin(np.where(np.isfinite(hours), np.nan_to_num(arrival.sd_h, nan=np.inf), np.nan), width / np.sqrt(12.0))

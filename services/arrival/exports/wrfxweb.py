@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from PIL import Image
-from pyproj import Transformer
 from rasterio.crs import CRS
 from rasterio.transform import Affine, array_bounds
 from rasterio.warp import Resampling, calculate_default_transform, reproject
@@ -24,7 +23,7 @@ from services.arrival.exports.isochrones import levels
 from services.arrival.exports.product import iso
 from services.arrival.inference import ArrivalMap
 
-MERCATOR = "EPSG:3857"
+WEB_RADIUS_M = 6_378_137.0
 MOST_TIMES = 8
 FIRE_AREA, ARRIVAL = "FIRE_AREA", "TIGN_G"
 # From the earliest arrival (dark) to the latest (light); index 0 is transparent.
@@ -40,7 +39,10 @@ def mercator(values: NDArray[np.float32], arrival: ArrivalMap) -> tuple[NDArray[
     source, height, width = transform_of(arrival.grid), *values.shape
     crs = CRS.from_epsg(arrival.grid.epsg)
     bounds = array_bounds(height, width, source)
-    place, columns, rows = calculate_default_transform(crs, MERCATOR, width, height, *bounds)
+    # Web Mercator turned to the fire's own meridian: the same picture, and none is torn at the antimeridian.
+    meridian = round(float(arrival.grid.degrees(arrival.grid.x_m.mean(), arrival.grid.y_m.mean())[0]))
+    web = CRS.from_proj4(f"+proj=merc +a={WEB_RADIUS_M} +b={WEB_RADIUS_M} +lon_0={meridian} +units=m +no_defs")
+    place, columns, rows = calculate_default_transform(crs, web, width, height, *bounds)
     out = np.full((rows, columns), np.nan, np.float32)
     reproject(
         values,
@@ -48,17 +50,18 @@ def mercator(values: NDArray[np.float32], arrival: ArrivalMap) -> tuple[NDArray[
         src_transform=source,
         src_crs=crs,
         dst_transform=place,
-        dst_crs=MERCATOR,
+        dst_crs=web,
         src_nodata=np.nan,
         dst_nodata=np.nan,
         resampling=Resampling.nearest,
     )
-    return out, _corners(place, rows, columns)
+    return out, _corners(place, rows, columns, meridian)
 
 
-def _corners(place: Affine, rows: int, columns: int) -> list[list[float]]:
-    edges = [place * corner for corner in ((0, 0), (columns, 0), (columns, rows), (0, rows))]
-    lon, lat = Transformer.from_crs(MERCATOR, 4326, always_xy=True).transform(*zip(*edges, strict=True))
+def _corners(place: Affine, rows: int, columns: int, meridian_deg: float) -> list[list[float]]:
+    x, y = np.array([place * corner for corner in ((0, 0), (columns, 0), (columns, rows), (0, rows))]).T
+    lon = meridian_deg + np.degrees(x / WEB_RADIUS_M)
+    lat = np.degrees(2 * np.arctan(np.exp(y / WEB_RADIUS_M)) - np.pi / 2)
     return [[round(float(a), 7), round(float(b), 7)] for a, b in zip(lon, lat, strict=True)]
 
 
