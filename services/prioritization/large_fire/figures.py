@@ -51,4 +51,4 @@ def _reliability(axes: Any, skill: dict[str, Any]) -> None:
     axes.plot([0, top], [0, top], color="0.6", linewidth=1)
     axes.plot(forecast, observed, "o-", color=LARGE)
     axes.set(xlim=(0, top), ylim=(0, top), aspect="equal", xlabel="forecast, %", ylabel="observed, %")
-    axes.set_title(f"Reliability by tenths; calibration slope {skill['calibration_slope']:.2f}", fontsize=10)
+    axes.set_title(f"Reliability by tenths,\ncalibration slope {skill['calibration_slope']:.2f}", fontsize=10)

@@ -33,7 +33,7 @@ PARAMETERS: dict[features.Schema, dict[str, Any]] = {
 }
 ROUNDS: dict[features.Schema, int] = {"loop": 40, "full": 80, "us": 30}
 TREES_PER_ROUND = 8
-START_INDEX: dict[features.Schema, str] = {"loop": "ffdi_dry", "full": "ffdi_dry", "us": "hdw_surface"}
+START_INDEX: dict[features.Schema, str] = {"loop": "ffdi_dry", "full": "ffdi_dry", "us": "erc"}
 TREE_SHARE = 0.5
 RESAMPLES = 200
 

@@ -206,6 +206,7 @@ def draw(trial: Trial, path: Path) -> None:
     from matplotlib.figure import Figure
 
     from shared import figures
+    from shared.versions import code_version
 
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     figure.get_layout_engine().set(rect=(0, 0.03, 1, 0.94))
@@ -227,9 +228,9 @@ def draw(trial: Trial, path: Path) -> None:
     lead.set(xlabel="hours ahead", ylabel="RMSE, %", ylim=(0, None), xlim=(1, AHEAD_H))
     lead.legend(fontsize=8)
     figure.suptitle("Dead fuel moisture under five years of real weather, SYNTHETIC truth and sensor", fontsize=11)
-    figures.save(
-        figure, path, {"simulated": True, "simulated_share": 0.5, "oldest_input": "2012-01-01", "code_version": ""}
-    )
+    code = code_version(Path(fuel_moisture.__file__).parent)
+    stated = {"simulated": True, "simulated_share": 0.5, "oldest_input": "2012-01-01", "code_version": code}
+    figures.save(figure, path, stated)
 
 
 if __name__ == "__main__":
