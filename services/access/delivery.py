@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from services.access import tables
 from services.access.coverage.grid import CellGrid
 from services.access.coverage.revisit import Revisits
+from services.access.coverage.seen import Seen
 from services.access.prediction import Access
 from services.access.report import Tally
-from services.access.satellite import SatelliteAccess, Seen
+from services.access.satellite import SatelliteAccess
 from shared.contracts.schema import Column, TableSchema, TableWriter, write_table
 
 if TYPE_CHECKING:

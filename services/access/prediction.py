@@ -15,10 +15,11 @@ from services.access.coverage.robustness import AlongTrackError, expected_error
 from services.access.ellipsoid import to_cartesian
 from services.access.events.contacts import Station
 from services.access.horizon import Horizon
+from services.access.options import AccessOptions
 from services.access.orbits.ephemeris import RECEIVER_NODE_S, TRANSMITTER_NODE_S, Ephemeris
 from services.access.orbits.formats import Orbit
 from services.access.orbits.preparation import Prepared, choose_constellations, name_transmitters, prepare
-from services.access.satellite import AccessOptions, SatelliteAccess, Scene, satellite_access
+from services.access.satellite import SatelliteAccess, Scene, satellite_access
 from services.access.specular.roll import Roll
 from services.access.specular.tracks import Cap
 from shared.fan_out import fan_out_in_turn

@@ -11,10 +11,11 @@ import shapely
 from numpy.typing import NDArray
 
 from services.access.coverage.revisit import Visits
+from services.access.coverage.seen import Seen
 from services.access.ellipsoid import to_geodetic
 from services.access.horizon import Horizon
 from services.access.prediction import Access
-from services.access.satellite import SatelliteAccess, Seen
+from services.access.satellite import SatelliteAccess
 from services.access.specular.tracks import PairCounts, SpecularTrack
 
 PART_ROWS = 500_000

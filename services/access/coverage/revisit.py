@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,6 +115,22 @@ def visits(time_index: NDArray[np.int32], row: NDArray[np.int32], step_s: int) -
         end_s.astype(np.int32),
         (after[: len(first)] - first).astype(np.int32),
     )
+
+
+def join_visits(parts: Sequence[Visits], step_s: int) -> Visits:
+    """The visits of one receiver over parts of the horizon; those that a part's end cut in two are one again."""
+    if len(parts) == 1:
+        return parts[0]
+    row, start, end, images = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "start_s", "end_s", "images")
+    )
+    order = np.lexsort((start, row))
+    row, start, end, images = row[order], start[order], end[order], images[order]
+    apart = start[1:] - (end[:-1] - 1) > max(SAME_VISIT_S, step_s)
+    first = np.flatnonzero(np.concatenate([[True], (row[1:] != row[:-1]) | apart])[: len(row)])
+    last = np.append(first[1:], len(row))[: len(first)] - 1
+    counts = np.add.reduceat(images, first) if len(first) else images
+    return Visits(row[first], start[first], end[last], counts.astype(np.int32))
 
 
 def summary(frame: pd.DataFrame) -> dict[str, float | int | None]:

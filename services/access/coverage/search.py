@@ -64,7 +64,7 @@ def covered(
         places.columns,
         places.reach_m,
         -1.0 if places.chord_m is None else places.chord_m,
-        max(DAY_S // step_s, 1),
+        step_s,
         nearest,
     )
     found, chord = found[:used], chord[:used]
@@ -121,7 +121,7 @@ def _cover(
     columns: Integers,
     reach: float,
     chord: float,
-    steps_a_day: int,
+    step_s: int,
     nearest: Array,
 ) -> tuple[NDArray[np.int32], Array, int]:
     found = np.empty((4096, 3), dtype=np.int32)
@@ -134,7 +134,7 @@ def _cover(
     first = 0
     while first < len(time_index):
         last, count = first, 0
-        near = nearest[min(time_index[first] // steps_a_day, len(nearest) - 1)]
+        near = nearest[min(int(time_index[first]) * step_s // DAY_S, len(nearest) - 1)]
         while last < len(time_index) and time_index[last] == time_index[first]:
             point = points[last]
             shape = shapes[last] if len(shapes) > 0 else point

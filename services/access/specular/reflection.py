@@ -192,6 +192,7 @@ def follow_all(
     axes: Array,
     cubics: Array,
     nodes_per_step: float,
+    first_step: int,
     wanted: Flags,
     least_cosine: float,
     max_incidence: float,
@@ -217,8 +218,8 @@ def follow_all(
             continue
         rx, ry, rz = receiver[step, 0], receiver[step, 1], receiver[step, 2]
         r_length = np.sqrt(rx * rx + ry * ry + rz * rz)
-        node = min(int(step * nodes_per_step), intervals - 1)
-        share = step * nodes_per_step - node
+        node = min(int((first_step + step) * nodes_per_step), intervals - 1)
+        share = (first_step + step) * nodes_per_step - node
         if used + transmitters > len(table):
             larger = np.empty((2 * len(table) + transmitters, COLUMNS))
             for row in range(used):  # plain loops: slice assignments triple the compiler's time
@@ -250,7 +251,7 @@ def follow_all(
                 continue
             rr = point[5]
             out = table[used]
-            out[0], out[1], out[2], out[3], out[4] = step, j, point[0], point[1], point[2]
+            out[0], out[1], out[2], out[3], out[4] = first_step + step, j, point[0], point[1], point[2]
             out[5], out[6], out[8], out[9] = point[3], point[4], rr, point[6]
             out[7] = gain_towards(axes[step], (point[0] - rx) / rr, (point[1] - ry) / rr, (point[2] - rz) / rr, gains)
             used += 1

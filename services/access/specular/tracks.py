@@ -93,12 +93,14 @@ def specular_track(
     antennas: AntennaSystem,
     caps: Sequence[Cap] = (),
     *,
+    first: int = 0,
     roll: Roll | None = None,
     surface_height_m: float = 0.0,
 ) -> SpecularTrack:
     """The specular points of a receiver with each transmitter, at the first ``count`` times of the receiver's grid.
 
-    Transmitters may lie on a coarser grid (they are interpolated, see ``Ephemeris.states``) from the same start. With
+    That grid begins ``first`` of its steps after the transmitters', from where steps are counted. Transmitters may lie
+    on a coarser grid (they are interpolated, see ``Ephemeris.states``). With
     ``caps``, steps at which no point can fall into any of them are left out; at the others all points are given, so
     that the choice of channels by gain stays right.
     """
@@ -109,11 +111,13 @@ def specular_track(
     near_arc = _arc_to_point(float(radius.max()), limit) + NORMAL_MARGIN_RAD
     wanted = _steps_near(position / radius[:, np.newaxis], caps, near_arc)
     counts = np.zeros(4, dtype=np.int64)
+    turned = None if roll is None else roll.at(first * receiver.step_s + receiver.times_s[:count])
     table, used = follow_all(
         np.ascontiguousarray(position),
-        body_axes(position, velocity, None if roll is None else roll.at(receiver.times_s[:count])),
+        body_axes(position, velocity, turned),
         np.stack([_cubics(t) for t in transmitters]),
         receiver.step_s / transmitters[0].step_s,
+        first,
         wanted,
         np.cos(min(near_arc + _arc_to_point(farthest, limit), np.pi)),
         limit,
@@ -137,6 +141,21 @@ def specular_track(
         table[:, 7] > antennas.floor_dbi,
         PairCounts(*map(int, counts), skipped=int((~wanted).sum()) * len(transmitters)),
     )
+
+
+def add_counts(counts: Sequence[PairCounts]) -> PairCounts:
+    """Counts of several stretches or receivers together."""
+    return PairCounts(**{name: sum(getattr(count, name) for count in counts) for name in vars(counts[0])})
+
+
+def join_tracks(tracks: Sequence[SpecularTrack]) -> SpecularTrack:
+    """One receiver's stretches, in order of time, as one track."""
+    joined = {
+        name: np.concatenate([getattr(track, name) for track in tracks])
+        for name, value in vars(tracks[0]).items()
+        if isinstance(value, np.ndarray)
+    }
+    return replace(tracks[0], counts=add_counts([track.counts for track in tracks]), **joined)
 
 
 def mark_nominal(

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from services.access.coverage.grid import cells_at, even_grid
 from services.access.coverage.places import places
-from services.access.coverage.revisit import Revisits, summary, visits
+from services.access.coverage.revisit import Revisits, join_visits, summary, visits
 from services.access.coverage.search import covered
 from services.access.ellipsoid import chord_from_arc_m, to_cartesian, up_vector
 from services.access.horizon import Horizon
@@ -234,3 +234,15 @@ def test_gap_statistics_agree_with_pandas(seed: int) -> None:
             assert frame.loc[place, "median_gap_h"] * 3600 == pytest.approx(gap.median())
             assert frame.loc[place, "max_gap_h"] * 3600 == pytest.approx(gap.max())
     assert frame.loc[5, "visits"] == 0
+
+
+def test_visits_cut_by_a_part_of_the_horizon_are_one_again() -> None:
+    rng = np.random.default_rng(2)
+    time, row = np.sort(rng.integers(0, 20_000, 300)), rng.integers(0, 6, 300)
+    pairs = np.unique(np.stack([time, row]), axis=1)
+    whole = visits(pairs[0], pairs[1], 1)
+    cut = [visits(*pairs[:, (pairs[0] >= a) & (pairs[0] < a + 5000)], 1) for a in range(0, 20_000, 5000)]
+    joined = join_visits(cut, 1)
+    assert sum(len(part.row) for part in cut) > len(whole.row)
+    for name in ("row", "start_s", "end_s", "images"):
+        assert np.array_equal(getattr(joined, name), getattr(whole, name)), name

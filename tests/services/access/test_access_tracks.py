@@ -8,10 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from services.access import satellite
+from services.access.coverage.grid import even_grid
 from services.access.ellipsoid import to_cartesian
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
 from services.access.orbits.formats import read_orbits
 from services.access.orbits.preparation import name_transmitters
+from services.access.prediction import AccessOptions, Horizon, predict
+from services.access.satellite import SatelliteAccess
 from services.access.specular.antenna import body_axes, shipped_antennas
 from services.access.specular.points import specular_points
 from services.access.specular.reflection import OCCULTED, SOLVED
@@ -178,3 +182,32 @@ def test_bad_rolls_are_named_by_row(change: dict[str, list[object]], what: str) 
     assert caught.value.field == "satellite_roll"
     with pytest.raises(DomainError, match="lacks the column roll_deg"):
         read_rolls(pd.DataFrame(rows).drop(columns="roll_deg"), {"CYGFM04"}, START)
+
+
+def test_stretches_of_the_horizon_make_up_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    targets = tuple(x.ravel() for x in np.meshgrid(np.arange(-30.0, 31.0, 6.0), np.arange(-180.0, 180.0, 6.0)))
+    options = AccessOptions(100.0, with_specular_points=True)
+    grid = even_grid(5.0, land_only=True)
+    roll = {"CYGFM04": Roll(np.array([0.0, 7200.0]), np.array([0.0, 20.0]))}
+
+    def first_receiver() -> SatelliteAccess:
+        orbits = read_orbits(RECEIVERS), read_orbits(TRANSMITTERS)
+        return predict(*orbits, [], targets, Horizon(START, 7200, 2), options, grid=grid, rolls=roll).satellites[0]
+
+    whole = first_receiver()
+    monkeypatch.setattr(satellite, "PART_STEPS", 1000)
+    parts = first_receiver()
+    assert whole.track is not None and parts.track is not None and len(whole.track) > 5000
+    assert np.abs(whole.track.position_m - parts.track.position_m).max() < 1e-4
+    assert np.abs(whole.track.rx_gain_dbi - parts.track.rx_gain_dbi).max() < 1e-6
+    assert np.array_equal(whole.track.nominal, parts.track.nominal)
+    assert whole.counts == parts.counts
+    for one, other in ((whole.targets, parts.targets), (whole.cells, parts.cells)):
+        assert one is not None and other is not None and one.count > 30
+        assert (one.count, one.images) == (other.count, other.images)
+        for name in ("time_index", "row", "transmitter"):
+            assert np.array_equal(getattr(one, name), getattr(other, name)), name
+        assert np.array_equal(one.visits.end_s, other.visits.end_s)
+        assert np.allclose(one.nearest_km, other.nearest_km, atol=1e-3)
+    assert whole.targets is not None and parts.targets is not None and whole.targets.ahead is not None
+    assert np.array_equal(whole.targets.ahead, parts.targets.ahead)
