@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,34 +86,42 @@ def of_stack(stack: RasterStack, grid: xr.Dataset, lead_day: int = 0, note: str 
 
 def _title(day: xr.Dataset, lead_day: int, note: str) -> str:
     start = np.datetime_as_string(day["lead_day_start"].to_numpy(), unit="m").replace("T", " ")
-    return f"Pre-fire danger, lead day {lead_day}: 24 h from {start} UTC" + (f"\n{note}" if note else "")
+    return f"Pre-fire danger, lead day {lead_day}: 24 h from {start} UTC\n{note}"
 
 
 def draw(picture: Picture, path: Path, attributes: dict[str, Any]) -> None:
-    """WFPI-x in classes, WFPI-x minus WFPI, and WFSP-x, as PNG; the footer says whether simulated and by which code."""
+    """WFPI-x in classes, WFPI-x minus WFPI where anything changed, and WFSP-x where there is one, as PNG.
+
+    The footer says whether simulated and by which code.
+    """
+    wfsp = picture.layers.get("wfsp_x")
+    change = _change_of(picture, "wfpi")
+    changed = change is not None and bool(np.nanmax(np.abs(change), initial=0.0) > 0)
+    title = "WFPI-x: with soil moisture and burned area" if changed else "WFPI (nothing seen that changes it)"
+    panels: list[Callable[[Any], None]] = [lambda axis: _classes(axis, picture, title)]
+    if changed:
+        label = "change by soil moisture and scars"
+        panels.append(lambda axis: _change(axis, picture, "wfpi", "WFPI-x minus WFPI", label))
+    if wfsp is not None:
+        top = max(1.0, float(np.nanquantile(wfsp, 0.99))) if np.isfinite(wfsp).any() else 1.0
+        words = ("WFSP-x: a lit fire exceeds 500 acres", "probability (%), demonstration")
+        panels.append(lambda axis: _field(axis, picture, wfsp, ("magma_r", 0, top), *words))
+    figure = _figure(picture, len(panels))
+    for axis, panel in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+        panel(axis)
+    _finish(figure, picture, path, attributes)
+
+
+def _figure(picture: Picture, panels: int) -> Any:
     from matplotlib.figure import Figure
 
     wide = picture.mask_code.shape[1] > 1.25 * picture.mask_code.shape[0]
-    figure = Figure(figsize=(17, 6.4 if not wide else 5.4))
-    axes = figure.subplots(1, 3)
-    _classes(axes[0], picture)
-    _change(axes[1], picture, "wfpi", "WFPI-x minus WFPI", "change by soil moisture and scars")
-    wfsp = picture.layers.get("wfsp_x")
-    if wfsp is not None:
-        top = max(1.0, float(np.nanquantile(wfsp, 0.99))) if np.isfinite(wfsp).any() else 1.0
-        label = "probability (%), demonstration"
-        _field(axes[2], picture, wfsp, ("magma_r", 0, top), "WFSP-x: a lit fire exceeds 500 acres", label)
-    else:
-        axes[2].set_axis_off()
-    _finish(figure, picture, path, attributes)
+    return Figure(figsize=((5.7 if panels > 2 else 7.6) * panels, (5.4 if wide else 6.4) + 0.8 * (panels < 3)))
 
 
 def draw_changes(picture: Picture, path: Path, attributes: dict[str, Any]) -> None:
     """What soil moisture and burned area changed in WFPI, WLFP and WFSP, as PNG."""
-    from matplotlib.figure import Figure
-
-    wide = picture.mask_code.shape[1] > 1.25 * picture.mask_code.shape[0]
-    figure = Figure(figsize=(17, 6.4 if not wide else 5.4))
+    figure = _figure(picture, 3)
     panels = (
         ("wfpi", "WFPI-x minus WFPI", "WFPI"),
         ("wlfp", "WLFP-x minus WLFP", "large fires per million km² and day"),
@@ -124,7 +133,9 @@ def draw_changes(picture: Picture, path: Path, attributes: dict[str, Any]) -> No
 
 
 def _finish(figure: Any, picture: Picture, path: Path, attributes: dict[str, Any]) -> None:
-    figure.suptitle(picture.title, fontsize=13)
+    title, _, note = picture.title.partition("\n")
+    figure.suptitle(title, fontsize=13, y=0.985)
+    figure.text(0.5, 0.925, note, fontsize=9, ha="center", va="center")
     figure.subplots_adjust(left=0.05, right=0.985, top=0.86, bottom=0.29, wspace=0.2)
     figures.save(figure, path, attributes)
 
@@ -155,7 +166,7 @@ def _masked_background(axis: Any, picture: Picture) -> list[int]:
     return present
 
 
-def _classes(axis: Any, picture: Picture) -> None:
+def _classes(axis: Any, picture: Picture, title: str) -> None:
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.patches import Patch
 
@@ -169,15 +180,21 @@ def _classes(axis: Any, picture: Picture) -> None:
     names = {MASK_CODES[code]: code for code in present}
     handles += [Patch(facecolor=legend.MASK_COLOURS[c], edgecolor="#888888", label=name) for name, c in names.items()]
     axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncol=4, fontsize=8, frameon=False)
-    _frame(axis, picture, "WFPI with soil moisture and burned area")
+    _frame(axis, picture, title)
+
+
+def _change_of(picture: Picture, name: str) -> Array | None:
+    """What was changed in an index, None where it is not among the layers."""
+    if name == "wfpi" and "change" in picture.layers:
+        return picture.layers["change"]
+    if name + "_x" not in picture.layers:
+        return None
+    return picture.layers[name + "_x"] - picture.layers[name]
 
 
 def _change(axis: Any, picture: Picture, name: str, title: str, label: str) -> None:
-    if name == "wfpi" and "change" in picture.layers:
-        change = picture.layers["change"]
-    elif name + "_x" in picture.layers:
-        change = picture.layers[name + "_x"] - picture.layers[name]
-    else:
+    change = _change_of(picture, name)
+    if change is None:
         axis.set_axis_off()
         return
     finite = np.abs(change[np.isfinite(change)])
