@@ -18,11 +18,12 @@ from services.arrival.front.rates import DAY_H, FrontRates, front_rates
 from services.arrival.front.weather import HourlyWeather, run_by_direction
 from services.arrival.inference import ArrivalMap
 
-# A day's growth is seldom repeated: fuel ends, crews work, the wind turns; the typical next run is about half.
-REPEAT = 0.55
+# A day's growth is seldom repeated whole: fuel ends, crews work; and headings that scatter blunt the mean head, which
+# SWING makes good.
+REPEAT, SWING = 0.65, 1.3
 HEADINGS = np.linspace(-2.0, 2.0, 7)
-TURN_SD_RAD, RATE_SD = 0.8, 0.6
-LOCAL_WEIGHT, LOCAL_REACH_KM = 0.57, 1.4
+TURN_SD_RAD, RATE_SD = 0.8, 0.63
+LOCAL_WEIGHT, LOCAL_REACH_KM = 0.5, 1.0
 # Where the front's motion is unknown (one detection, one pass): a wildfire's daily run in general, km, widely spread.
 UNKNOWN_RUN_KM, UNKNOWN_SD = 1.0, 1.2
 UNKNOWN_FLAGS = frozenset({"one-detection", "one-instant", "burned-area-only"})
@@ -114,7 +115,7 @@ def forecast_front(arrival: ArrivalMap, end_h: float, weather: HourlyWeather | N
     speeds = []
     for turn in HEADINGS * TURN_SD_RAD * (0.5 if ratio else 1.0):
         if ratio is None:
-            run = rates.towards(angle, turn) * local
+            run = rates.towards(angle, turn, swing=SWING) * local
         else:
             turned = (angle - turn + np.pi) % (2 * np.pi) - np.pi
             run = rates.mean_km * np.interp(turned, *ratio) * np.sqrt(local)

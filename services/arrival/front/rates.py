@@ -35,10 +35,10 @@ class FrontRates:
         """Direction of the fastest growth, radians from east to north."""
         return float(np.arctan2(self.north_km, self.east_km))
 
-    def towards(self, angle_rad: Floats, turn_rad: float = 0.0, floor: float = 0.1) -> Floats:
-        """Displacement, km, by direction, the head turned; never below a share of the mean."""
-        swing = self.swing_km * np.cos(angle_rad - self.heading_rad - turn_rad)
-        return np.maximum(self.mean_km + swing, floor * self.mean_km)
+    def towards(self, angle_rad: Floats, turn_rad: float = 0.0, floor: float = 0.06, swing: float = 1.0) -> Floats:
+        """Displacement, km, by direction, the head turned and its lead scaled; never below a share of the mean."""
+        lead = swing * self.swing_km * np.cos(angle_rad - self.heading_rad - turn_rad)
+        return np.maximum(self.mean_km + lead, floor * self.mean_km)
 
 
 def rate_of_spread_km_h(arrival_h: Floats, cell_km: float) -> Floats:
@@ -68,7 +68,7 @@ def _outward(burned: Mask) -> tuple[Floats, Floats]:
     return d_column / length, d_row / length
 
 
-def front_rates(arrival_h: Floats, end_h: float, cell_km: float, along_cells: float = 1.8) -> FrontRates:
+def front_rates(arrival_h: Floats, end_h: float, cell_km: float, along_cells: float = 1.05) -> FrontRates:
     """Displacement of the front up to `end_h`; the field holds at least one burned cell (NaN: unburned).
 
     Each cell of the present front is measured from what had burned a window before; a first-order harmonic of the
@@ -91,7 +91,7 @@ def front_rates(arrival_h: Floats, end_h: float, cell_km: float, along_cells: fl
         front = burned
     run = distance * cell_km
     design = np.column_stack([np.ones(int(front.sum())), east[front], north[front]])
-    damping = np.diag([0.0, 4.0, 4.0])
+    damping = np.diag([0.0, 2.0, 2.0])
     mean, to_east, to_north = np.linalg.solve(design.T @ design + damping, design.T @ run[front])
     weight = gaussian_filter(front.astype(float), along_cells)
     local = gaussian_filter(np.where(front, run, 0.0), along_cells) / np.maximum(weight, 1e-12)
