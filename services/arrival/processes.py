@@ -55,13 +55,13 @@ class InferFireArrivalInputs(ProcessInputs):
     )
     ensemble: int | None = Field(None, ge=1, le=32, description="members of arrival-field; null: its own")
     formats: list[Format] = Field(
-        list(ALL_FORMATS), description="what is made beside the netCDF, the map and the GeoJSON isochrones"
+        list(ALL_FORMATS), description="what is made beside the netCDF and the GeoJSON isochrones"
     )
 
 
 class InferFireArrivalOutputs(ProcessOutputs):
     fire_arrival: list[ArtifactRef] = Field(description="netCDF per incident, fire_arrival_<incident_id>.nc")
-    maps: list[ArtifactRef] = Field(description="PNG per incident: arrival under isochrones and detections")
+    maps: list[ArtifactRef] = Field(description="PNG per incident: arrival under isochrones, detections over it")
     isochrones: ArtifactRef = Field(description="GeoJSON of all incidents, times in UTC")
     report: ArtifactRef = Field(description="JSON: counts, flags, and the plain baseline beside the method")
     incident_count: int = Field(description="incidents mapped")

@@ -76,8 +76,8 @@ def _pictures(folder: Path, task: FireTask, arrival: ArrivalMap, front: Front, s
     from services.arrival.figures.information_map import draw_information
 
     case, attributes, stem = task.case, task.attributes, stem_of(task.case)
-    draw_map(folder / f"fire_arrival_{stem}.png", arrival, case.looks, case.reference, case.name, attributes)
     if "pictures" in task.formats:
+        draw_map(folder / f"fire_arrival_{stem}.png", arrival, case.looks, case.reference, case.name, attributes)
         draw_information(folder / f"information_{stem}.png", case, arrival, sight, attributes)
         draw_front(folder / f"front24_{stem}.png", case, arrival, front, attributes)
     if "animation" in task.formats:

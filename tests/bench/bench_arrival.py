@@ -20,6 +20,8 @@ from services.arrival.field import FieldSettings, fit_field
 from services.arrival.fires import map_case
 from services.arrival.inference import ArrivalMap
 from services.arrival.paper_method import PaperSettings
+from tests.bench.arrival.front24 import front24
+from tests.bench.arrival.network_export import network_export
 from tests.services.arrival.airborne import FIRES as AIRBORNE
 from tests.services.arrival.airborne import sorensen_against_perimeter
 from tests.services.arrival.scored import Score, case_of, run
@@ -90,5 +92,7 @@ def real() -> None:
 if __name__ == "__main__":
     torch.set_num_threads(1)
     cost()
+    network_export(show)
+    front24(show)
     accuracy()
     real()
