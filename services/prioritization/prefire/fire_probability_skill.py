@@ -42,11 +42,15 @@ WLFP_BINS = UsgsBins(
 
 
 def left_out_predictions(
-    table: pd.DataFrame, outcome: str, model: fire_probability.SmoothLogit, penalty: float
+    table: pd.DataFrame,
+    outcome: str,
+    model: fire_probability.SmoothLogit,
+    penalty: float,
+    at: pd.DataFrame | None = None,
 ) -> Array:
-    """Probability of each row by a fit of the other years, at the penalty and in the box of the fit of all years.
+    """Probability of each row (of ``at``, else of the table) by a fit of the other years, in the box of ``model``.
 
-    DomainError with fewer than two years.
+    The penalty is that of the fit of all years. DomainError with fewer than two years.
     """
     years = table["time"].dt.year.to_numpy()
     if len(np.unique(years)) < 2:
@@ -54,13 +58,15 @@ def left_out_predictions(
             "Leave-one-year-out needs at least two years.", field="time", value=str(years[:1]), accepted="2 years"
         )
     matrix, events = fire_probability_fit.design(table, _box(model)), table[outcome].to_numpy(float)
+    wanted = matrix if at is None else fire_probability_fit.design(at, _box(model))
+    wanted_years = years if at is None else at["time"].dt.year.to_numpy()
     offset = fire_probability_fit.sampling_offset(table, outcome)
     whole = fire_probability_fit.coefficients_of(model)
-    predicted = np.full(len(table), np.nan)
-    for year in np.unique(years):
-        kept = years != year
+    predicted = np.full(len(wanted), np.nan)
+    for year in np.unique(wanted_years):
+        kept, out = years != year, wanted_years == year
         left = fire_probability_fit.regress(matrix[kept], events[kept], offset[kept], penalty, whole)
-        predicted[~kept] = fire_probability.sigmoid(matrix[~kept] @ left.coefficients)
+        predicted[out] = fire_probability.sigmoid(wanted[out] @ left.coefficients)
     return predicted
 
 
@@ -92,7 +98,7 @@ def reliability(predicted: Array, observed: Array, weight: Array, bins: UsgsBins
                 "forecast": float((predicted[inside] * weight[inside]).sum()) * per_case,
                 "observed": events * per_case,
                 "observed_low": float(low) * per_case,
-                "observed_high": float(gamma.ppf(0.95, events + 1)) * per_case,
+                "observed_high": min(float(gamma.ppf(0.95, events + 1)) * per_case, scale),
                 "usgs_observed": usgs,
             }
         )
@@ -109,7 +115,7 @@ def against_usgs(refit: fire_probability_fit.Refit, fires: pd.DataFrame, voxels:
     ones = np.ones(len(fires))
     report = {"wfsp": reliability(spread, fires["large"].to_numpy(float), ones, WFSP_BINS, 100.0)}
     if "large" in voxels:
-        report["wlfp"] = _wlfp(refit, voxels)
+        report["wlfp"] = _wlfp(refit, fires, voxels)
     held = {
         name: {"bins_held": sum(_holds(row) for row in rows), "bins": sum(row["rows"] > 0 for row in rows)}
         for name, rows in report.items()
@@ -121,12 +127,9 @@ def _holds(row: dict[str, Any]) -> bool:
     return bool(row["rows"]) and row["observed_low"] <= row["forecast"] <= row["observed_high"]
 
 
-def _wlfp(refit: fire_probability_fit.Refit, voxels: pd.DataFrame) -> list[dict[str, Any]]:
-    """Ignitions of left-out years times the spread of all years."""
+def _wlfp(refit: fire_probability_fit.Refit, fires: pd.DataFrame, voxels: pd.DataFrame) -> list[dict[str, Any]]:
     lit = left_out_predictions(voxels, "ignition", refit.model.ignition, refit.ignition_penalty)
-    spread = refit.model.spread
-    matrix = fire_probability_fit.design(voxels, _box(spread))
-    grows = fire_probability.sigmoid(matrix @ fire_probability_fit.coefficients_of(spread))
+    grows = left_out_predictions(fires, "large", refit.model.spread, refit.spread_penalty, at=voxels)
     background = voxels["ignition"].to_numpy() == 0
     weight = np.where(background, 1 / voxels["sampling_rate"].to_numpy(float), 1.0)
     return reliability(lit * grows, voxels["large"].to_numpy(float), weight, WLFP_BINS, 1e6)
