@@ -12,7 +12,7 @@ READY = $(VENV)/.ready-$(shell cat requirements.lock pyproject.toml | cksum | cu
 export OMP_WAIT_POLICY = PASSIVE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test lint bench up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
+.PHONY: help setup demo serve desk test lint bench up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
 
 help: ## this list
 	@grep -hE '^[a-z%-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -52,6 +52,9 @@ $(SERVICES:%=bench-%-long): bench-%-long: $(READY)
 
 serve: $(READY) ## daily cycles and hourly ratings of CASE on their schedules, until it is ended
 	@$(PY) -m flows.commands serve --case $(CASE) --root $(ROOT)
+
+desk: $(READY) ## the page for operators, on http://127.0.0.1:8000
+	@SMOKEGLINT_DESK_ARTIFACT_ROOT=$(ROOT) $(PY) -m uvicorn flows.desk.app:app --port 8000 --no-access-log
 
 up: ## the services in containers (docker compose)
 	docker compose up --build

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from flows.desk.standing import case_folder
+from flows.desk.standing import CYCLE, case_folder
 from shared.artifacts.manifest import MANIFEST
 from shared.errors import DomainError
 
-CYCLE = r"\d{8}T\d{4}Z"  # the label of a cycle: its cut-off
 # The order in which a cycle runs them.
 CYCLE_STEPS = (
     "assemble-inputs",
@@ -35,8 +35,8 @@ CYCLE_STEPS = (
 
 def finished_cycles(root: Path, case: str) -> list[str]:
     """The cycles of a case that have finished steps, oldest first: folders named by a cut-off."""
-    folders = [path for path in (root / case).glob("*T*Z") if any(path.glob(f"*/*/{MANIFEST}"))]
-    return sorted(path.name for path in folders)
+    folders = [path for path in (root / case).iterdir() if re.fullmatch(CYCLE, path.name)]
+    return sorted(path.name for path in folders if any(path.glob(f"*/*/{MANIFEST}")))
 
 
 def forget_from(root: Path, case: str, step: str, cycle: int = 0) -> int:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
 from flows.commands.options import CaseName, Root
-from flows.desk.decisions import Decision, DecisionLog
+from flows.desk.decisions import DecisionLog, keep
 from flows.desk.standing import case_folder, plan_standings
 from shared.errors import DomainError
 
@@ -21,17 +20,6 @@ Why = Annotated[str, typer.Option(help="the reason; kept with the decision")]
 Who = Annotated[str, typer.Option(help="who decides", envvar="SMOKEGLINT_OPERATOR")]
 Cycle = Annotated[str, typer.Option(help="cut-off of the first cycle it holds for, e.g. 20250902T1200Z")]
 Until = Annotated[str, typer.Option(help="cut-off of the last cycle it holds for; empty: until it is released")]
-
-
-def keep(root: Path, case: str, **decided: Any) -> Decision:
-    """Check a decision and keep it; DomainError says what is wrong with it."""
-    try:
-        decision = Decision(**{name: value for name, value in decided.items() if value not in (None, "")})
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise DomainError(f"This is no decision: {where} {first['msg']}".strip(), field=where) from error
-    return DecisionLog(root.resolve(), case).append(decision)
 
 
 def approve(

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from flows.commands.options import CaseName, Root
-from flows.desk.standing import case_folder
-from flows.redo import CYCLE, CYCLE_STEPS
+from flows.desk.standing import CYCLE, case_folder
+from flows.redo import CYCLE_STEPS
 from shared.artifacts.manifest import Manifest
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore

@@ -133,3 +133,14 @@ def verdict_on(decisions: Iterable[Decision], schedule_sha256: str) -> Decision 
     """The latest approval or rejection of that very plan; None while it is a draft."""
     about = [d for d in decisions if d.action in ("approve", "reject") and d.schedule_sha256 == schedule_sha256]
     return about[-1] if about else None
+
+
+def keep(root: Path, case: str, **decided: Any) -> Decision:
+    """Check a decision and keep it; DomainError says what is wrong with it."""
+    try:
+        decision = Decision(**{name: value for name, value in decided.items() if value not in (None, "")})
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise DomainError(f"This is no decision: {where} {first['msg']}".strip(), field=where) from error
+    return DecisionLog(root.resolve(), case).append(decision)

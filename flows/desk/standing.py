@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from flows.desk.decisions import Decision, verdict_on
-from shared.artifacts.manifest import Manifest
+from shared.artifacts.manifest import MANIFEST, Manifest
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
 from shared.errors import DomainError
 
 STATES = ("draft", "rejected", "approved", "uplinked", "executed", "downlinked")
 SCHEDULE = "schedule.parquet"
+CYCLE = r"\d{8}T\d{4}Z"  # the label of a cycle: its cut-off
 
 
 @dataclass(frozen=True)
@@ -43,22 +45,25 @@ def case_folder(root: Path, case: str) -> str:
     return named[0]
 
 
-def plan_standings(root: Path, case: str, decisions: list[Decision]) -> list[PlanStanding]:
-    """The newest plan of each cycle, oldest cycle first, and how far it has come."""
+def newest_steps(root: Path, case: str) -> dict[str, dict[str, Manifest]]:
+    """The newest finished step of each process, by cycle; parts of a case that are no cycle are left out."""
     cycles: dict[str, dict[str, tuple[float, Manifest]]] = {}
-    store = ArtifactStore(Roots(str(root)))
-    for manifest in store.manifests(case):
-        if "-" in manifest.cycle:
+    for manifest in ArtifactStore(Roots(str(root))).manifests(case):
+        if not re.fullmatch(CYCLE, manifest.cycle):
             continue
         step = manifest.product.process
-        written = (root / case / manifest.cycle / step / manifest.key / SCHEDULE).parent.stat().st_mtime
+        written = (root / case / manifest.cycle / step / manifest.key / MANIFEST).stat().st_mtime
         known = cycles.setdefault(manifest.cycle, {})
         if step not in known or written > known[step][0]:
             known[step] = (written, manifest)
-    planned = [(cycle, {step: manifest for step, (_, manifest) in steps.items()}) for cycle, steps in cycles.items()]
-    return [
-        _standing(root, cycle, steps, decisions) for cycle, steps in sorted(planned) if "plan-observations" in steps
-    ]
+    return {cycle: {step: manifest for step, (_, manifest) in steps.items()} for cycle, steps in cycles.items()}
+
+
+def plan_standings(root: Path, case: str, decisions: list[Decision]) -> list[PlanStanding]:
+    """The newest plan of each cycle, oldest cycle first, and how far it has come."""
+    newest = newest_steps(root, case)
+    planned = sorted(cycle for cycle, steps in newest.items() if "plan-observations" in steps)
+    return [_standing(root, cycle, newest[cycle], decisions) for cycle in planned]
 
 
 def _standing(root: Path, cycle: str, steps: Mapping[str, Manifest], decisions: list[Decision]) -> PlanStanding:

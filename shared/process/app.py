@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from shared.errors import SmokeglintError
 from shared.lifeline import end_with_parent
 from shared.process.declaration import Process
-from shared.process.problem import problem, problem_of
+from shared.process.problem import problem, problem_of, validation_errors
 from shared.process.problem_answer import problem_response
 from shared.process.routes import router
 from shared.process.service import Service
@@ -84,11 +84,12 @@ def create_app(
     app.include_router(router)
     app.add_middleware(GateMiddleware, authenticator=authenticator)
     app.add_middleware(CorrelationMiddleware)  # added last, met first: a refusal bears its correlation id, too
-    _add_error_answers(app)
+    add_error_answers(app)
     return app
 
 
-def _add_error_answers(app: FastAPI) -> None:
+def add_error_answers(app: FastAPI) -> None:
+    """Let every error of an application be answered by its problem document."""
     async def known(_: Request, error: Exception) -> Response:
         return problem_response(problem_of(error))
 
@@ -97,11 +98,18 @@ def _add_error_answers(app: FastAPI) -> None:
         logger().error("request failed", path=request.url.path, trace=trace)
         return problem_response(problem_of(error))
 
+    async def misfit(_: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        found = validation_errors(error.errors())
+        detail = "; ".join(item["detail"] for item in found)
+        return problem_response(problem(422, "about:blank", "The request does not fit", detail, errors=found))
+
     async def http(_: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         return problem_response(problem(error.status_code, "about:blank", str(error.detail), str(error.detail)))
 
-    for kind in (SmokeglintError, ValidationError, RequestValidationError):
+    for kind in (SmokeglintError, ValidationError):
         app.add_exception_handler(kind, known)
+    app.add_exception_handler(RequestValidationError, misfit)
     app.add_exception_handler(HTTPException, http)
     app.add_exception_handler(Exception, unknown)
