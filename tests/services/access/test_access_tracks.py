@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial import cKDTree
 
 from services.access import satellite
 from services.access.coverage.grid import even_grid
-from services.access.ellipsoid import to_cartesian
+from services.access.ellipsoid import chord_from_arc_m, to_cartesian
 from services.access.orbits.ephemeris import Ephemeris, propagate, resample
 from services.access.orbits.formats import read_orbits
 from services.access.orbits.preparation import name_transmitters
@@ -211,3 +213,34 @@ def test_stretches_of_the_horizon_make_up_the_whole(monkeypatch: pytest.MonkeyPa
         assert np.allclose(one.nearest_km, other.nearest_km, atol=1e-3)
     assert whole.targets is not None and parts.targets is not None and whole.targets.ahead is not None
     assert np.array_equal(whole.targets.ahead, parts.targets.ahead)
+
+
+def test_targets_at_the_poles_lose_nothing_to_skipping() -> None:
+    """A polar orbit over targets around both poles and the dateline: with what is far skipped, and with all solved."""
+    rows = json.dumps(
+        [
+            {
+                "OBJECT_NAME": "POLAR", "NORAD_CAT_ID": 90001, "EPOCH": START.strftime("%Y-%m-%dT%H:%M:%S"),
+                "MEAN_MOTION": 15.2, "ECCENTRICITY": 0.001, "INCLINATION": 88.0, "RA_OF_ASC_NODE": 10.0,
+                "ARG_OF_PERICENTER": 0.0, "MEAN_ANOMALY": 0.0, "BSTAR": 0.0, "MEAN_MOTION_DOT": 0.0,
+                "MEAN_MOTION_DDOT": 0.0,
+            }
+        ]
+    )  # fmt: skip
+    rng = np.random.default_rng(6)
+    latitude = np.concatenate([rng.uniform(80, 90, 400), rng.uniform(-90, -80, 400), [90.0, -90.0]])
+    longitude = rng.uniform(-180, 180, 802)
+    horizon, orbits = Horizon(START, 12_000, 2), (read_orbits(rows), read_orbits(TRANSMITTERS))
+    few = predict(*orbits, [], (latitude, longitude), horizon, AccessOptions(25.0)).satellites[0]
+    every = predict(
+        *orbits, [], (latitude, longitude), horizon, AccessOptions(25.0, with_specular_points=True)
+    ).satellites[0]
+    assert few.counts.skipped > 0 and every.counts.skipped == 0
+    assert few.targets is not None and every.targets is not None and every.track is not None
+    assert few.targets.count == every.targets.count > 100
+    assert np.array_equal(few.targets.row, every.targets.row)
+    used = every.track.where(every.track.in_beam)
+    place = to_cartesian(latitude, longitude)
+    near = cKDTree(used.position_m).query_ball_point(place, chord_from_arc_m(25_000.0))
+    expected = {(int(used.time_index[k]), row) for row, points in enumerate(near) for k in points}
+    assert expected == set(zip(every.targets.time_index.tolist(), every.targets.row.tolist(), strict=True))
