@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import ValidationError
@@ -59,7 +60,7 @@ def _mapped(status: int, kind: str, title: str, error: BaseException) -> dict[st
     return problem(status, kind, title, str(error), **extra)
 
 
-def validation_errors(found: list[Any]) -> list[dict[str, str]]:
+def validation_errors(found: Sequence[Any]) -> list[dict[str, str]]:
     """Pydantic's findings as ``field``, ``detail`` and ``value``."""
     listed = []
     for item in found:
