@@ -25,6 +25,8 @@ from shared.errors import DomainError
 
 Array = NDArray[np.float64]
 
+EARTH_FIXED_FRAMES = ("ITRF", "ITRS", "IGS", "WGS84")  # with or without the year of a realisation: decimetres apart
+MEAN_OF_2000 = ("EME2000", "J2000", "EARTHMJ2000EQ")  # the last is GMAT's name
 CELESTIAL_FRAMES = ("EME2000", "J2000", "GCRF", "ICRF", "ICRF2", "ICRF3", "TEME")
 FEWEST_STATES = 4
 STATE_TAGS = ("EPOCH", "X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
@@ -223,14 +225,14 @@ def _refuse_foreign_velocity(t_s: Array, states: Array, lines: Sequence[int], na
 
 def _to_itrf(states: Array, times: NDArray[np.datetime64], meta: Keywords, name: str) -> Array:
     frame = meta.get("REF_FRAME").upper().replace("-", "").replace("_", "")
-    if frame.startswith(("ITRF", "WGS84")):
+    if frame.startswith(EARTH_FIXED_FRAMES):
         return states[:, :3]
     t_s = seconds_since(times[0], times)
     orientation = orientation_at(as_datetime(times[0]), float(t_s[-1]))
     position, velocity = states[:, :3], states[:, 3:]
     if frame in ("TEME", "TEMEOFDATE"):
         return teme_to_itrf(position, velocity, t_s, orientation)[0]
-    if frame in ("EME2000", "J2000"):
+    if frame in MEAN_OF_2000:
         position, velocity = eme2000_to_gcrs(position), eme2000_to_gcrs(velocity)
     elif frame not in CELESTIAL_FRAMES:
         accepted = ", ".join((*CELESTIAL_FRAMES, "ITRF…"))
