@@ -18,6 +18,7 @@ from services.planning.problem import BoolArray, IntArray, PlanningProblem
 from services.planning.quotas import whole_quotas
 from services.planning.search.guided import search_plan, search_start
 from services.planning.solving import Solution, branch_and_bound, solve_relaxation, trivial_bound
+from services.planning.subgradient import guided_multipliers
 from services.planning.timeline import TOLERANCE_WH, battery_wh
 from shared.errors import DomainError
 
@@ -25,6 +26,8 @@ SMALL_ENTRIES = 12_000
 """Image-target pairs (reduced) up to which branch and bound runs first."""
 PROVEN_GAP = 1e-8
 """A relative gap that is rounding: nothing is left to search for."""
+LARGE_ENTRIES = 500_000
+"""Pairs beyond which an interior point takes longer than averaged subgradients deserve."""
 NODES = 400
 ROUNDS = 6
 MOVES_PER_UNIT = 1_000_000
@@ -243,7 +246,10 @@ def _search(
 ) -> tuple[IntArray, float, bool]:  # fmt: skip
     """Images, proven bound and whether time cut it: relaxation, quotas, annealing. Reports all three on the way."""
     _tell(progress, 16, "relaxation", problem.objective(greedy_images(problem, chunks)), trivial_bound(model))
-    relaxation = solve_relaxation(model, max(5.0, clock.left() * 0.7))
+    if len(coverage.group) > LARGE_ENTRIES:
+        relaxation = guided_multipliers(model, chunks, coverage)
+    else:
+        relaxation = solve_relaxation(model, max(5.0, clock.left() * 0.7))
     with ThreadPoolExecutor(max_workers=2) as pool:
         tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, QUOTA_GUARD_S)
                  for guide in (True, False)]  # fmt: skip
