@@ -9,7 +9,7 @@ into the forecast and reaches the classes that no station measures (Vejmelka et 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,14 +30,19 @@ SATURATION_PCT = 250.0
 OBSERVED_CLASS = 1
 BIAS_MEMORY_H = 240.0
 BIAS_LIMIT_PCT = 15.0
+BEYOND_GATE = "beyond the gate"
 
 
 @dataclass(frozen=True)
 class FilterState:
-    """What the next hour resumes from: moistures and equilibrium error (4, n), and their covariance (n, 4, 4)."""
+    """What the next hour resumes from: moistures and equilibrium error (4, n), and their covariance (n, 4, 4).
+
+    ``probation``: by place (longitude, latitude) of a station, how many plausible values it still owes.
+    """
 
     mean: Array
     covariance: Array
+    probation: dict[tuple[float, float], int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -93,14 +98,14 @@ def run(
     count, cells = equilibrium_pct.shape
     accepted, refused = screened(observations, noise)
     begin = initial or first_state(equilibrium_pct, noise)
-    state, covariance = begin.mean.copy(), begin.covariance.copy()
+    state, covariance, probation = begin.mean.copy(), begin.covariance.copy(), dict(begin.probation)
     out, variance = np.full((count, 3, cells), np.nan), np.full((count, 3, cells), np.nan)
     used = 0
     for t in range(count):
         gap = hour[t] - hour[t - 1] if t else 1.0
         state, covariance = _predict(state, covariance, equilibrium_pct[t], rain_mm_h[t], gap, noise)
         for index in np.flatnonzero(accepted.hour == t) if accepted is not None else ():
-            why = _update(state, covariance, accepted, int(index), longitude_deg, latitude_deg, noise)
+            why = _heard(state, covariance, probation, accepted, int(index), (longitude_deg, latitude_deg), noise)
             used += not why
             if why:
                 refused[why] = refused.get(why, 0) + 1
@@ -109,7 +114,24 @@ def run(
     unknown = np.isnan(equilibrium_pct)
     never = unknown.all(axis=0) if initial is None else np.zeros(cells, dtype=bool)
     out[:, :, never], variance[:, :, never] = np.nan, np.nan
-    return FuelMoisture(out, variance, used, refused, unknown.sum(axis=0), FilterState(state, covariance))
+    return FuelMoisture(out, variance, used, refused, unknown.sum(axis=0), FilterState(state, covariance, probation))
+
+
+def _heard(
+    state: Array,
+    covariance: Array,
+    probation: dict[tuple[float, float], int],
+    observations: StationObservations,
+    index: int,
+    cells: tuple[Array, Array],
+    noise: FilterNoise,
+) -> str:
+    """Hear one observation, in place; empty, or why it was refused. A station gone mad is on probation afterwards."""
+    place = (float(observations.longitude_deg[index]), float(observations.latitude_deg[index]))
+    owed = probation.get(place, 0)
+    why = _update(state, covariance, observations, index, *cells, noise, owed > 0)
+    probation[place] = noise.probation if why == BEYOND_GATE else max(owed - 1, 0)
+    return why
 
 
 def first_state(equilibrium_pct: Array, noise: FilterNoise) -> FilterState:
@@ -151,6 +173,7 @@ def _update(
     longitude_deg: Array,
     latitude_deg: Array,
     noise: FilterNoise,
+    on_probation: bool,
 ) -> str:
     """Correct the cells in reach of one station, in place; says why not where it is refused at its own cell."""
     north = latitude_deg - observations.latitude_deg[index]
@@ -164,7 +187,9 @@ def _update(
     total = covariance[near, OBSERVED_CLASS, OBSERVED_CLASS] + error
     closest = int(np.argmin(distance_km[near]))
     if abs(innovation[closest]) > noise.gate * np.sqrt(total[closest]):
-        return "beyond the gate"
+        return BEYOND_GATE
+    if on_probation:
+        return "on probation"
     gain = covariance[near][:, :, OBSERVED_CLASS] / total[:, None]
     state[:, near] += (gain * innovation[:, None]).T
     state[3, near] = np.clip(state[3, near], -BIAS_LIMIT_PCT, BIAS_LIMIT_PCT)

@@ -19,7 +19,8 @@ class FilterNoise:
     """Variances of the filter, per cent squared (per hour for the process noise); one value a state component.
 
     Components: 1-h, 10-h, 100-h moisture, equilibrium error. ``gate``: innovations beyond so many standard deviations
-    are a station gone mad. ``reach_km``: how far a station speaks; its error grows by ``km_sd_pct`` per 10 km.
+    are a station gone mad, which then owes ``probation`` plausible values before it is believed again. ``reach_km``:
+    how far a station speaks; its error grows by ``km_sd_pct`` per 10 km.
     """
 
     initial: tuple[float, float, float, float] = (9.0, 16.0, 25.0, 4.0)
@@ -29,6 +30,7 @@ class FilterNoise:
     reach_km: float = 75.0
     km_sd_pct: float = 0.4
     stuck_hours: int = 24
+    probation: int = 3
 
 
 @dataclass(frozen=True)

@@ -132,6 +132,22 @@ def test_mad_and_stuck_stations_are_refused():
     )
 
 
+def test_a_station_that_jumps_must_behave_before_it_is_believed_again():
+    hour, equilibrium, rain = _synthetic_weather(24 * 12)
+    rain[:] = 0
+    truth = _truth(hour, equilibrium, rain)
+    rng = np.random.default_rng(0)
+    mad = truth + np.where((hour >= 150) & (hour < 200), rng.normal(0, 30, len(hour)), 0.0)
+    mad = np.clip(mad, 1.5, 110)
+    believing = FilterNoise(probation=0)
+    errors = {}
+    for name, noise in (("believing", believing), ("probation", FilterNoise())):
+        result = fuel_moisture.run(hour, equilibrium, rain, ONE, ONE, _stations(hour, mad), noise)
+        errors[name] = np.abs(result.moisture_pct[150:206, 1, 0] - truth[150:206]).max()
+        assert (np.abs(result.moisture_pct[230:, 1, 0] - truth[230:]) < 1.5).all()  # believed again
+    assert errors["probation"] < 0.6 * errors["believing"]
+
+
 def test_stations_out_of_reach_change_nothing():
     hour, equilibrium, rain = _synthetic_weather(72)
     far = fuel_moisture.run(
