@@ -19,6 +19,7 @@ def _constellation_name(given: object) -> object:
 
 
 ORBIT_FORMATS = "TLE text, CCSDS OMM (JSON list, XML, KVN), CCSDS OEM (KVN, XML) or SP3, recognised by content"
+Files = Annotated[list[ArtifactRef], Field(min_length=1, max_length=64)]
 Constellation = Annotated[Literal["GPS", "Galileo", "BeiDou", "QZSS"], BeforeValidator(_constellation_name)]
 
 
@@ -36,10 +37,10 @@ class GridInputs(BaseModel):
 class PredictAccessInputs(ProcessInputs):
     """Orbits, ground stations and point targets, and the time to predict."""
 
-    receivers: ArtifactRef | list[ArtifactRef] = Field(
+    receivers: ArtifactRef | Files = Field(
         description="orbits of the receiving satellites, one file or several: " + ORBIT_FORMATS
     )
-    transmitters: ArtifactRef | list[ArtifactRef] = Field(
+    transmitters: ArtifactRef | Files = Field(
         description="orbits of the GNSS satellites, one file or several: " + ORBIT_FORMATS
     )
     constellations: list[Constellation] | None = Field(

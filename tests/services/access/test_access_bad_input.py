@@ -214,6 +214,29 @@ def test_http_refuses_in_the_same_words(case: str, service: tuple[TestClient, Pa
     assert not [path for path in root.rglob("*.parquet") if "predict-access" in path.parts]
 
 
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"fleet": "spire"}, "fleet"),
+        ({"constellations": ["GLONASS"]}, "constellations"),
+        ({"constellations": []}, "constellations"),
+        ({"receivers": []}, "receivers"),
+        ({"min_contact_s": -1}, "min_contact_s"),
+        ({"start": "2022-12-04T00:00:00"}, "start"),
+        ({"duration_s": 0}, "duration_s"),
+        ({"receiver": "x"}, "receiver"),
+    ],
+)
+def test_what_the_process_does_not_know_is_named(
+    change: dict[str, Any], field: str, service: tuple[TestClient, Path]
+) -> None:
+    client, root = service
+    answer = client.post(EXECUTE, json={"inputs": _inputs(root / "in" / "misfit", _changed(**change))})
+    assert answer.status_code == 422, answer.text
+    faults = answer.json()["errors"]
+    assert faults and all(fault["field"].split(".")[0] == field and fault["detail"] for fault in faults)
+
+
 def _run(root: Path, edit: Edit) -> dict[str, Any]:
     store = ArtifactStore(Roots(str(root)))
     inputs = validate_inputs(PROCESSES[0], _inputs(root / "in", edit))
