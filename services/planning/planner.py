@@ -12,6 +12,7 @@ import numpy as np
 from services.planning.coverage import Coverage, reduce_coverage
 from services.planning.data_cycles import Chunks, build_chunks
 from services.planning.downlinks import Timeline, emit_timeline
+from services.planning.early import earlier_images
 from services.planning.greedy import complete, greedy_images
 from services.planning.milp import DataCycleModel, build_model
 from services.planning.problem import BoolArray, IntArray, PlanningProblem
@@ -127,7 +128,7 @@ def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock
         problem, chunks, coverage, seed if required.any() else None, options, clock, progress
     )
     progress(80, "exact timeline")
-    timeline = _emit_full(problem, chunks, images)
+    timeline = _early(problem, chunks, _emit_full(problem, chunks, images))
     objective = problem.objective(timeline.images)
     kept = mandatory and bool(problem.covered_targets(timeline.images)[required].all())
     size = {
@@ -156,6 +157,17 @@ def _emit_full(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> Ti
         if problem.objective(fuller.images) > problem.objective(timeline.images):
             return replace(fuller, cuts=tuple(sorted({*timeline.cuts, *fuller.cuts})))
     return timeline
+
+
+def _early(problem: PlanningProblem, chunks: Chunks, timeline: Timeline) -> Timeline:
+    """The timeline with images earlier where that costs no reward, if an exact timeline holds them all."""
+    images = earlier_images(problem, chunks, timeline.images, timeline.downlink)
+    if np.array_equal(images, timeline.images):
+        return timeline
+    moved = emit_timeline(problem, images)
+    if len(moved.dropped) or problem.objective(moved.images) < problem.objective(timeline.images):
+        return timeline
+    return replace(moved, dropped=timeline.dropped, cuts=tuple(sorted({*timeline.cuts, *moved.cuts})))
 
 
 def _check_idle(problem: PlanningProblem) -> None:
