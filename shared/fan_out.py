@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -19,6 +20,7 @@ from shared.lifeline import end_with_parent
 
 VARIABLE = "SMOKEGLINT_FAN_OUT"
 _TRIES = 3
+_LOOK_S, _LONELY_S = 5.0, 120.0
 Result = TypeVar("Result")
 
 
@@ -76,7 +78,22 @@ def _over_dask(function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
         futures = [client.submit(function, *task, pure=False, retries=0) for task in tasks]
         try:
             while futures:
-                yield futures[0].result()
+                yield _result(client, futures[0])
                 futures.pop(0)  # the cluster may forget it
         except KilledWorker as error:
             raise SmokeglintError(f"A task killed its Dask workers again and again: {error}") from error
+
+
+def _result(client: Any, future: Any) -> Any:
+    """A result, however long it takes; SmokeglintError once the cluster has had no worker for two minutes."""
+    lonely_since = None
+    while True:
+        try:
+            return future.result(timeout=_LOOK_S)
+        except TimeoutError:
+            if client.nthreads():
+                lonely_since = None
+                continue
+            lonely_since = lonely_since or time.monotonic()
+            if time.monotonic() - lonely_since > _LONELY_S:
+                raise SmokeglintError("The Dask cluster has lost all of its workers.") from None

@@ -113,6 +113,7 @@ ROWS: dict[str, dict[str, list[Any]]] = {
         "station": [None, "hawaii", None],
         "cycle": [0, 0, 1],
         "uplink_contact": [None, T[0], T[1]],
+        "pointing": ["roll+5", None, "nadir"],
     },
     "AS_RUN": {
         "satellite": SATELLITES,

@@ -36,6 +36,16 @@ def test_a_killed_worker_costs_a_retry_only(monkeypatch, request, tmp_path, kind
     assert (tmp_path / "killed").exists()
 
 
+def test_a_cluster_without_workers_is_not_waited_for(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("shared.fan_out._LOOK_S", 0.1)
+    monkeypatch.setattr("shared.fan_out._LONELY_S", 0.3)
+    with distributed.LocalCluster(n_workers=0, dashboard_address=None, processes=False, silence_logs=50) as empty:
+        monkeypatch.setenv(VARIABLE, "dask:" + empty.scheduler_address)
+        with pytest.raises(SmokeglintError, match="lost all of its workers"):
+            fan_out(noise, TASKS)
+
+
 def test_a_task_that_always_kills_ends_in_an_error(monkeypatch):
     monkeypatch.setenv(VARIABLE, "processes:1")
     with pytest.raises(SmokeglintError, match=r"Task 1 of 1 .* 3 times"):
