@@ -89,18 +89,8 @@ def _write(
     picture = danger_map.picture_of(rated, note)
     danger_map.draw(picture, context.new_file("danger.png"), attributes)
     danger_map.draw_changes(picture, context.new_file("change.png"), attributes)
-    report = {
-        "time": time.isoformat(),
-        "grid": {"kind": fuels.grid.kind, "crs": fuels.grid.crs, "shape": fuels.grid.shape},
-        **rated.tally.report(),
-        "weather_values_taken_out": flagged,
-        "vegetation_values_taken_out": dict(fuels.counts),
-        "share_of_moisture_from_forecast": daily.forecast_share,
-        "soil_moisture_percentiles_of": fuels.notes.get("soil_moisture_years", "years not stated by the fuels grid"),
-        "ndvi_extremes_of": fuels.notes.get("ndvi_years", "years not stated by the fuels grid"),
-        "fire_probability": effects.probability.trained_on,
-        "demonstration": _demonstration(effects.probability.demonstration),
-    }
+    report = _report(rated, fuels, daily, effects.probability, {"weather_values_taken_out": flagged})
+    report["time"] = time.isoformat()
     return RatePrefireDangerOutputs(
         danger=context.ref("danger.nc"),
         map=context.ref("danger.png"),
@@ -109,6 +99,20 @@ def _write(
         rasters=[context.ref(name) for name in rasters],
         share_changed=report["share_changed_by_satellites"],
     )
+
+
+def _report(rated: Any, fuels: Any, daily: Any, probability: Any, weather: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "grid": {"kind": fuels.grid.kind, "crs": fuels.grid.crs, "shape": fuels.grid.shape},
+        **rated.tally.report(),
+        **weather,
+        "vegetation_values_taken_out": dict(fuels.counts),
+        "share_of_moisture_from_forecast": daily.forecast_share,
+        "soil_moisture_percentiles_of": fuels.notes.get("soil_moisture_years", "years not stated by the fuels grid"),
+        "ndvi_extremes_of": fuels.notes.get("ndvi_years", "years not stated by the fuels grid"),
+        "fire_probability": probability.trained_on,
+        "demonstration": _demonstration(probability.demonstration),
+    }
 
 
 def _demonstration(demonstration: bool) -> str:

@@ -34,31 +34,10 @@ def prefire_targets(
     smallest and largest over those days, with and without the satellites, and over the grid cells of the place.
     """
     cells = _cells(danger, area, horizon_h)
-    row, column = lattice.locate(cells["longitude_deg"].to_numpy(), cells["latitude_deg"].to_numpy())
-    cells["row"], cells["column"] = row, column
-    places = cells.groupby(["row", "column"], as_index=False).agg(
-        worth=("worth", "mean"),
-        worth_low=("worth_low", "min"),
-        worth_high=("worth_high", "max"),
-        grid_cells=("worth", "size"),
-    )
-    frame = places.reset_index(drop=True)
-    frame["longitude_deg"], frame["latitude_deg"] = lattice.centre(frame["row"].to_numpy(), frame["column"].to_numpy())
-    west, south, east, north = area
-    frame = frame[frame["longitude_deg"].between(west, east) & frame["latitude_deg"].between(south, north)]
+    frame = _places(cells, lattice, area)
     clear = ~_near_fire(frame, active, keep_out_km)
     in_fire = int((~clear).sum())
-    frame = frame[clear].reset_index(drop=True)
-    at = (frame["longitude_deg"].to_numpy(), frame["latitude_deg"].to_numpy())
-    age = observation_age.age_h(*at, observed, time, max(REACH_KM, 0.71 * lattice.spacing_km))
-    fresh = reward.staleness(age, "prefire")
-    frame["priority"] = reward.prefire_reward(frame["worth"].to_numpy(), fresh)
-    frame["priority_low"] = reward.prefire_reward(frame["worth_low"].to_numpy(), fresh)
-    frame["priority_high"] = reward.prefire_reward(frame["worth_high"].to_numpy(), fresh)
-    frame["staleness"], frame["observed_age_h"] = fresh, age
-    frame["target_id"] = lattice.target_id(frame["row"].to_numpy(), frame["column"].to_numpy())
-    frame["source"] = "danger"
-    frame = frame[frame["priority"] >= SMALLEST_PRIORITY].sort_values("target_id").reset_index(drop=True)
+    frame = _priced(frame[clear].reset_index(drop=True), observed, time, lattice)
     report = {
         "targets": len(frame),
         "grid_cells_masked_or_unknown": int(cells.attrs["left_out"]),
@@ -67,6 +46,34 @@ def prefire_targets(
         "lately_observed": int((frame["staleness"] < 0.999).sum()),
     }
     return frame, report
+
+
+def _places(cells: pd.DataFrame, lattice: Lattice, area: tuple[float, float, float, float]) -> pd.DataFrame:
+    """The lattice's places within the area, each with the mean worth of its grid cells and their extremes."""
+    row, column = lattice.locate(cells["longitude_deg"].to_numpy(), cells["latitude_deg"].to_numpy())
+    places = cells.assign(row=row, column=column).groupby(["row", "column"], as_index=False)
+    frame = places.agg(
+        worth=("worth", "mean"),
+        worth_low=("worth_low", "min"),
+        worth_high=("worth_high", "max"),
+        grid_cells=("worth", "size"),
+    ).reset_index(drop=True)
+    frame["longitude_deg"], frame["latitude_deg"] = lattice.centre(frame["row"].to_numpy(), frame["column"].to_numpy())
+    west, south, east, north = area
+    return frame[frame["longitude_deg"].between(west, east) & frame["latitude_deg"].between(south, north)]
+
+
+def _priced(frame: pd.DataFrame, observed: pd.DataFrame | None, time: pd.Timestamp, lattice: Lattice) -> pd.DataFrame:
+    """Places as targets: reward with its interval, staleness, id; those worth next to nothing left out."""
+    at = (frame["longitude_deg"].to_numpy(), frame["latitude_deg"].to_numpy())
+    age = observation_age.age_h(*at, observed, time, max(REACH_KM, 0.71 * lattice.spacing_km))
+    fresh = reward.staleness(age, "prefire")
+    for name, worth in (("priority", "worth"), ("priority_low", "worth_low"), ("priority_high", "worth_high")):
+        frame[name] = reward.prefire_reward(frame[worth].to_numpy(), fresh)
+    frame["staleness"], frame["observed_age_h"] = fresh, age
+    frame["target_id"] = lattice.target_id(frame["row"].to_numpy(), frame["column"].to_numpy())
+    frame["source"] = "danger"
+    return frame[frame["priority"] >= SMALLEST_PRIORITY].sort_values("target_id").reset_index(drop=True)
 
 
 def _cells(danger: xr.Dataset, area: tuple[float, float, float, float], horizon_h: float) -> pd.DataFrame:

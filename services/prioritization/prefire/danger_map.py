@@ -85,7 +85,7 @@ def of_stack(stack: RasterStack, grid: xr.Dataset, lead_day: int = 0, note: str 
 
 
 def _title(day: xr.Dataset, lead_day: int, note: str) -> str:
-    start = np.datetime_as_string(day["lead_day_start"].to_numpy(), unit="m").replace("T", " ")
+    start = str(np.datetime_as_string(day["lead_day_start"].to_numpy(), unit="m")).replace("T", " ")
     return f"Pre-fire danger, lead day {lead_day}: 24 h from {start} UTC\n{note}"
 
 

@@ -69,9 +69,8 @@ def simulate(seed: int = 0) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def _truth_of(table: pd.DataFrame) -> tuple[Any, Any]:
-    names = ("longitude_deg", "latitude_deg")
-    places = [table[name].to_numpy() for name in names]
-    return truth(*places, table["time"].dt.dayofyear.to_numpy(), table["wfpi"].to_numpy())
+    longitude, latitude = table["longitude_deg"].to_numpy(), table["latitude_deg"].to_numpy()
+    return truth(longitude, latitude, table["time"].dt.dayofyear.to_numpy(), table["wfpi"].to_numpy())
 
 
 def main() -> None:

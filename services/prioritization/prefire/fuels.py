@@ -141,17 +141,7 @@ def checked_fuels(grid: danger_grid.DangerGrid, bands: Mapping[str, Array], note
     burnable = mask < 248
     kind = np.float32 if grid.kind == "usgs-1km" else np.float64
     values = {name: np.asarray(bands[name], dtype=kind) for name in (*REQUIRED, *OPTIONAL) if name in bands}
-    flag = np.zeros(mask.shape, dtype=np.uint8)
-    for name in REQUIRED:
-        if burnable.any() and not np.isfinite(values[name][burnable]).any():
-            raise DomainError(f"Every value of '{name}' is missing.", field=name, accepted="values in burnable cells")
-        flag[burnable & ~np.isfinite(values[name])] |= VEGETATION_MISSING
-    counts = {}
-    for name, rule, impossible in _impossible(values):
-        count = int((impossible & burnable).sum())
-        _refuse_if_many(name, rule, values[name], impossible & burnable, int(burnable.sum()))
-        flag[impossible & burnable] |= VEGETATION_IMPOSSIBLE
-        counts[f"{name}: not {rule}"] = count
+    flag, counts = _flagged(values, burnable)
     largest = np.where(burnable & (flag == 0), values["ndvi_max"], -np.inf).max(initial=-np.inf)
     greenness = fire_potential.relative_greenness(values["ndvi"], values["ndvi_min"], values["ndvi_max"])
     greenness[flag > 0] = np.nan
@@ -164,12 +154,28 @@ def checked_fuels(grid: danger_grid.DangerGrid, bands: Mapping[str, Array], note
         mask_code=mask,
         flag=flag,
         ndvi_largest=float(largest) if np.isfinite(largest) and largest > 0 else 1.0,
-        counts={name: count for name, count in counts.items() if count}
-        | {"vegetation missing": int(((flag & VEGETATION_MISSING) > 0).sum())},
+        counts=counts,
         notes=dict(notes),
         **{name: values[name] for name in ("ndvi_max", "live_load", "dead_load", "extinction_pct")},
         **wet,
     )
+
+
+def _flagged(values: Mapping[str, Array], burnable: npt.NDArray[np.bool_]) -> tuple[Flags, dict[str, int]]:
+    """Why each cell's vegetation is unknown, and how many cells broke which rule."""
+    flag = np.zeros(burnable.shape, dtype=np.uint8)
+    for name in REQUIRED:
+        if burnable.any() and not np.isfinite(values[name][burnable]).any():
+            raise DomainError(f"Every value of '{name}' is missing.", field=name, accepted="values in burnable cells")
+        flag[burnable & ~np.isfinite(values[name])] |= VEGETATION_MISSING
+    counts = {"vegetation missing": int((flag > 0).sum())}
+    for name, rule, broken in _impossible(values):
+        bad = broken & burnable
+        _refuse_if_many(name, rule, values[name], bad, int(burnable.sum()))
+        flag[bad] |= VEGETATION_IMPOSSIBLE
+        if bad.any():
+            counts[f"{name}: not {rule}"] = int(bad.sum())
+    return flag, counts
 
 
 def _impossible(values: Mapping[str, Array]) -> list[tuple[str, str, npt.NDArray[np.bool_]]]:
