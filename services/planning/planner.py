@@ -258,12 +258,13 @@ def _search(
 ) -> tuple[IntArray, float, bool]:  # fmt: skip
     """Images, proven bound and whether time cut it: relaxation, quotas, annealing. Reports all three on the way."""
     _tell(progress, 16, "relaxation", problem.objective(greedy_images(problem, chunks)), trivial_bound(model))
-    if len(coverage.group) > LARGE_ENTRIES:
+    large = len(coverage.group) > LARGE_ENTRIES
+    if large:
         relaxation = guided_multipliers(model, chunks, coverage)
     else:
         relaxation = solve_relaxation(model, max(5.0, clock.left() * 0.7))
     with ThreadPoolExecutor(max_workers=2) as pool:
-        tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, QUOTA_GUARD_S)
+        tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, QUOTA_GUARD_S, not large)
                  for guide in (True, False)]  # fmt: skip
         guide, proof = (task.result() for task in tasks)
     bound = min(relaxation.bound, proof.bound, first.bound if first is not None else np.inf)

@@ -115,29 +115,33 @@ def _model(model: DataCycleModel, worth: _Worth, curvature: float) -> DataCycleM
 
 
 def _solved(
-    model: DataCycleModel, chunks: Chunks, worth: _Worth, guide: bool, time_limit_s: float
+    model: DataCycleModel, chunks: Chunks, worth: _Worth, guide: bool, time_limit_s: float, exact: bool
 ) -> tuple[IntArray, Solution]:
     small = _model(model, worth, CURVATURE if guide else 0.0)
     whole = np.zeros(len(small.cost), bool)
-    whole[: small.images] = True
+    whole[: small.images] = exact
     at = worth.relaxed.astype(int)
     last = [p[min(len(p) - 1, n + 1)] - p[min(len(p) - 2, n)] for p, n in zip(worth.prefix, at, strict=True)]
     total = max(1e-9, sum(float(p[n]) for p, n in zip(worth.prefix, at, strict=True)))
     gap = GUIDE_GAP_IMAGES * float(np.median(last)) / total if guide else BOUND_GAP
     solution = branch_and_bound(small, whole, max(1e-7, gap), GUIDE_NODES if guide else BOUND_NODES, time_limit_s)
     images = np.zeros(len(chunks), np.int64)
-    images[worth.chunk] = np.rint(solution.images)
+    images[worth.chunk] = np.floor(solution.images + 1e-6)
     return images, solution
 
 
 def whole_quotas(
-    model: DataCycleModel, chunks: Chunks, coverage: Coverage, relaxation: Solution, guide: bool, time_limit_s: float
-) -> Quotas:
-    """Quotas near the relaxation's (``guide``), or wherever they prove the tightest bound."""
+    model: DataCycleModel, chunks: Chunks, coverage: Coverage, relaxation: Solution, guide: bool, time_limit_s: float,
+    exact: bool = True,
+) -> Quotas:  # fmt: skip
+    """Quotas near the relaxation's (``guide``), or wherever they prove the tightest bound.
+
+    Without ``exact`` counts may be fractional in the program, and are rounded down: quicker, with a looser bound.
+    """
     if relaxation.dual is None or not model.images:
         return Quotas(np.zeros(len(chunks), np.int64), relaxation.links, relaxation.bound, False, False)
     worth = _worth(model, chunks, coverage, relaxation, relaxation.dual)
-    images, solution = _solved(model, chunks, worth, guide, time_limit_s)
+    images, solution = _solved(model, chunks, worth, guide, time_limit_s, exact)
     proven = relaxation.bound
     if not guide and solution.feasible:
         proven = min(proven, worth.constant + solution.bound)

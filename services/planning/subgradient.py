@@ -72,13 +72,13 @@ def guided_multipliers(
     found = _as_solution(model, chunks, coverage, mean_w, mean_y, np.zeros(model.links), trivial_bound(model))
     cut, best = False, found.bound
     for index in range(ROUNDS):
-        quotas = whole_quotas(model, chunks, coverage, found, guide=True, time_limit_s=time_limit_s)
+        quotas = whole_quotas(model, chunks, coverage, found, True, time_limit_s, exact=False)
         cut |= quotas.time_limited
         large, small = (LARGE * (SMALL / LARGE) ** (x / ROUNDS) for x in (index, index + 1))
         _steps(STEPS_PER_ROUND, large, small, y, mean_y, mean_w, quotas.images, order, first, coverage.start,
                coverage.group, value)  # fmt: skip
         found = _as_solution(model, chunks, coverage, mean_w, mean_y, quotas.links, best)
-    proof = whole_quotas(model, chunks, coverage, found, guide=False, time_limit_s=time_limit_s)
+    proof = whole_quotas(model, chunks, coverage, found, False, time_limit_s, exact=False)
     return _as_solution(model, chunks, coverage, mean_w, mean_y, quotas.links, min(best, proof.bound), cut)
 
 

@@ -47,6 +47,7 @@ WORK = {"60s": 20.0, "600s": 380.0}
 GUARD_S = {"60s": 55.0, "600s": 3600.0}
 """Guards only: on two quiet cores the counted work ends well before 60 s and 600 s."""
 FLEETS = (7, 15, 30, 60)
+FLEET_WORK = 2.0
 TARGETS_PER_SATELLITE = 100_000 / 30
 PAPER = (
     ("LA 2025-01-08, active and pre-fire", 0.005, "3 h", 47993, 48345, 136, 136, 15209, 19034),
@@ -78,7 +79,7 @@ def measure(case: str, craft: str, kind: str, budget: str) -> dict[str, Any]:
         targets = frames["targets"][frames["targets"]["kind"] == kind]
         seen = frames["opportunities"]
         frames |= {"targets": targets, "opportunities": seen[seen["target_id"].isin(targets["target_id"])]}
-    work = WORK["60s" if case.isdigit() else budget]
+    work = FLEET_WORK if case.isdigit() else WORK[budget]
     options = Options(mip_gap=0.0001, time_limit_s=GUARD_S[budget], work_limit=work)
     stamps: dict[str, float] = {}
     made = make_plan(

@@ -83,7 +83,9 @@ def search_plan(start: Start, moves: int, stop: Callable[[int, IntArray], bool])
         part, before = int(moves * share), done
         result = anneal(
             start.space, start.allotment, start.chosen, part, HOT * start.scale, COLD * start.scale,
-            stop=lambda n, chosen, b=before: stop(b + n, start.image[chosen]),
+            stop=lambda n, chosen, b=before, known=best: stop(
+                b + n, start.image[max(known, chosen, key=start.space.objective)]
+            ),
         )  # fmt: skip
         best = max(best, result.chosen, key=start.space.objective)
         done, cut = done + part, result.time_limited
