@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
@@ -16,6 +16,7 @@ from services.arrival.looks import looks_from_detections
 
 NO_PASS, HIDDEN, CLEAR, BURNING = 0, 1, 2, 3
 MEANINGS = ("no_pass", "hidden_by_cloud_or_water", "no_fire_seen", "fire_seen")
+CORNER = float(np.sqrt(np.pi / 2.0))
 Floats = NDArray[np.float64]
 
 
@@ -51,7 +52,11 @@ def _latest(frame: gpd.GeoDataFrame, grid: FireGrid, reference: pd.Timestamp, en
     half = grid.cell_m / 2e3
     hours = (pd.to_datetime(frame["time"], utc=True) - reference).dt.total_seconds().to_numpy(float) / 3600.0
     inside = (np.abs(x) <= columns * half) & (np.abs(y) <= rows * half) & (hours <= end_h)
-    return paint(grid, looks_from_detections(frame[inside], grid, reference), "last") if inside.any() else nothing
+    if not inside.any():
+        return nothing
+    looks = looks_from_detections(frame[inside], grid, reference)
+    # A disc of a pixel's area leaves out its corners, and cells finer than the pixel would fall between two of them.
+    return paint(grid, replace(looks, radius_km=CORNER * looks.radius_km), "last")
 
 
 def paint_passes(
