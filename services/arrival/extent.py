@@ -13,6 +13,11 @@ from services.arrival.grid import FireGrid
 from services.arrival.looks import BURNED_AREA, FIRE, Looks
 
 NOT_SEEN, NO_FIRE_SEEN, FIRE_SEEN = 0, 1, 2
+# Footprints this small (radius, km) outline a fire; sightings per pixel at which its rim is mostly seen, or mostly not.
+FINE_KM = 0.35
+SELDOM, OFTEN = 0.6, 0.95
+DENSE_REACH_KM, SPARSE_REACH_KM = 0.17, 0.45
+DENSE_ENCLOSURE_KM, SPARSE_ENCLOSURE_KM = 1.5, 3.0
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -80,13 +85,43 @@ def supported(looks: Looks, reach_km: float = 8.0, certain: float = 0.7) -> Look
     return looks.take(chosen)
 
 
-def _distance_and_cover(grid: FireGrid, looks: Looks) -> tuple[Floats, Mask]:
+def sightings_per_pixel(fire: Looks) -> float:
+    """How often a burned pixel was seen burning, on average: the area of all fine footprints over that of the region
+    which they and the gaps between them make up. 0 where too few fine sightings tell."""
+    fine = fire.take(fire.radius_km <= FINE_KM)
+    if len(fine) < 8:
+        return 0.0
+    low = np.array([fine.x_km.min(), fine.y_km.min()])
+    size = np.array([np.ptp(fine.x_km), np.ptp(fine.y_km)]) + 4.0
+    cell_km = max(0.1, float(size.max()) / 300.0)
+    columns, rows = np.ceil(size / cell_km).astype(int)
+    x, y = np.meshgrid(*(low[k] - 2.0 + cell_km * (np.arange(n) + 0.5) for k, n in enumerate((columns, rows))))
+    tree = cKDTree(np.column_stack([fine.x_km, fine.y_km]))
+    covered = tree.query(np.column_stack([x.ravel(), y.ravel()]))[0].reshape(x.shape) <= 0.3
+    region_km2 = float(closing(covered, 1.5 / cell_km).sum()) * cell_km**2
+    return float((np.pi * fine.radius_km**2).sum()) / max(region_km2, cell_km**2)
+
+
+def reach_and_enclosure(looks: Looks) -> tuple[float, float]:
+    """How far (km) the burned region reaches around a fine sighting, and half the widest gap it closes.
+
+    Where each pixel was sighted about once, sightings outline the fire themselves; where most burned between passes
+    or under cloud, its rim was missed as well as its inside, and the outline lies beyond the outermost sightings.
+    """
+    sparse = float(np.clip((OFTEN - sightings_per_pixel(looks.fire)) / (OFTEN - SELDOM), 0.0, 1.0))
+    return (
+        DENSE_REACH_KM + sparse * (SPARSE_REACH_KM - DENSE_REACH_KM),
+        DENSE_ENCLOSURE_KM + sparse * (SPARSE_ENCLOSURE_KM - DENSE_ENCLOSURE_KM),
+    )
+
+
+def _distance_and_cover(grid: FireGrid, looks: Looks, reach_km: float) -> tuple[Floats, Mask]:
     """Distance (km) from each cell centre to the nearest look, and whether it lies within a look's reach."""
     x, y = grid.cell_centres_km()
     cells = np.column_stack([x.ravel(), y.ravel()])
     nearest, cover = np.full(len(cells), np.inf), np.zeros(len(cells), bool)
-    # Half a kilometre covers sensor pixels of 375 m to 1 km with their jitter; of a coarse cell it is the inner half.
-    reach = np.where(looks.radius_km <= 0.6, 0.45, np.minimum(0.7 * looks.radius_km, looks.radius_km - 0.1))
+    # Of a coarse cell (a kilometre and more) the inner part burned, not its corners.
+    reach = np.where(looks.radius_km <= 0.6, reach_km, np.minimum(0.7 * looks.radius_km, looks.radius_km - 0.1))
     reach = np.maximum(reach, 0.5 * grid.cell_m / 1e3)
     for value in np.unique(np.round(reach, 2)):
         part = looks.take(np.round(reach, 2) == value)
@@ -98,8 +133,8 @@ def _distance_and_cover(grid: FireGrid, looks: Looks) -> tuple[Floats, Mask]:
     return nearest.reshape(grid.shape), cover.reshape(grid.shape)
 
 
-def gather(grid: FireGrid, looks: Looks, enclosure_km: float = 3.0) -> Evidence:
-    """What the looks say about each cell; gaps in the evidence narrower than twice `enclosure_km` count as enclosed."""
+def gather(grid: FireGrid, looks: Looks) -> Evidence:
+    """What the looks say about each cell."""
     cell_km = grid.cell_m / 1e3
     latest = paint(grid, looks, "last")
     seen_fire = np.isfinite(paint(grid, looks.take(is_fire_evidence(looks)), "first"))
@@ -108,7 +143,8 @@ def gather(grid: FireGrid, looks: Looks, enclosure_km: float = 3.0) -> Evidence:
     if len(anchor) == 0:
         nothing = np.zeros(grid.shape, bool)
         return Evidence(information, latest, np.full(grid.shape, np.inf), nothing, np.full(grid.shape, -np.inf))
-    distance, cover = _distance_and_cover(grid, anchor)
+    reach_km, enclosure_km = reach_and_enclosure(looks)
+    distance, cover = _distance_and_cover(grid, anchor, reach_km)
     enclosed = closing(cover, enclosure_km / cell_km)
     inside = distance_transform_edt(np.pad(enclosed, 1))[1:-1, 1:-1]
     outside = distance_transform_edt(~enclosed) if enclosed.any() else np.full(grid.shape, np.inf)

@@ -35,15 +35,16 @@ class FieldSettings:
     steps: int = 150
     learning_rate: float = 0.1
     length_km: float = 4.0
-    spread_h: float = 14.0
+    spread_h: float = 25.0
     softness_h: float = 0.8
     first_softness_h: float = 4.0
     residence_h: float = 5.5
     residence_spread: float = 0.3
     lead_h: float = 1.5
+    guess_smoothing_km: float = 1.5
+    full_size_km: float = 9.0
     near_km: float = 3.0
     edge_km: float = 0.3
-    enclosure_km: float = 3.0
     cells: int = 90
     finest_km: float = 0.15
     coarsest_km: float = 0.4
@@ -112,7 +113,12 @@ def working_grid(grid: FireGrid, anchor: Looks, settings: FieldSettings, margin_
 
 
 def first_guess(
-    anchor: Looks, ignition: Ignition, cells_km: Floats, shape: tuple[int, int], cell_km: float, lead_h: float
+    anchor: Looks,
+    ignition: Ignition,
+    cells_km: Floats,
+    shape: tuple[int, int],
+    smoothing_cells: float,
+    lead_h: float,
 ) -> Floats:
     """A first arrival (cells,): the earliest sighting around each sighting, spread by inverse distance and smoothed,
     growing beyond the last one at half the fire's typical pace."""
@@ -129,31 +135,34 @@ def first_guess(
     guess = (weight * first[index]).sum(axis=1) / weight.sum(axis=1)
     guess += 0.5 * float(np.clip(pace, 2, 25)) * np.maximum(distance[:, 0] - 0.3, 0)
     guess = np.maximum(guess, min(ignition.time_h, time.min()))
-    return gaussian_filter(guess.reshape(shape), 1.5 / cell_km, mode="nearest").ravel()
+    return gaussian_filter(guess.reshape(shape), smoothing_cells, mode="nearest").ravel()
 
 
 def _model(looks: Looks, anchor: Looks, grid: FireGrid, ignition: Ignition, settings: FieldSettings) -> _Model:
     """The fit's fixed parts; `looks` are in the working grid's local coordinates."""
     x, y = grid.cell_centres_km()
     cells, cell_km = np.column_stack([x.ravel(), y.ravel()]), grid.cell_m / 1e3
-    evidence = gather(grid, looks, settings.enclosure_km)
+    evidence = gather(grid, looks)
     no_fire, complete = looks.no_fire, False
     weight = np.ones(0)
     if len(no_fire):
         places = cKDTree(np.column_stack([anchor.x_km, anchor.y_km]))
         near = places.query(np.column_stack([no_fire.x_km, no_fire.y_km]))[0] < settings.near_km
         no_fire, weight, complete = representative(no_fire.take(near))
-    guess = first_guess(anchor, ignition, cells, grid.shape, cell_km, settings.lead_h)
+    # A small fire bends on its own scale: lengths shrink with the side of a square of its area.
+    size = float(np.clip(np.sqrt(evidence.enclosed.sum()) * cell_km / settings.full_size_km, 0.15, 1.0))
+    smoothing = size * settings.guess_smoothing_km / cell_km
+    guess = first_guess(anchor, ignition, cells, grid.shape, smoothing, settings.lead_h)
     margin = np.clip(evidence.margin_km / settings.edge_km, -8.0, 8.0).ravel()
     return _Model(
-        cosine_field(*grid.shape, cell_km, settings.length_km),
+        cosine_field(*grid.shape, cell_km, size * settings.length_km),
         torch.tensor(guess, dtype=torch.float32),
         torch.sigmoid(torch.tensor(margin, dtype=torch.float32)),
         footprints(looks.fire, cells, cell_km),
         footprints(no_fire, cells, cell_km, weight) if settings.no_fire else None,
         footprints(looks.burned_area, cells, cell_km),
         # Only complete granules say how long a place burns: of thinned ones the looks that matter are missing.
-        settings.residence_spread if complete else 0.1,
+        settings.residence_spread if complete else 0.02,
     )
 
 
@@ -211,7 +220,7 @@ def fit_field(looks: Looks, grid: FireGrid, ignition: Ignition, settings: FieldS
     with torch.no_grad():
         arrival = _evaluate(model, unknowns, settings).numpy().astype(float).reshape(members, *work.shape)
         residence, detection = (float(value.mean()) for value in _physics(unknowns, model, settings))
-    margin = gather(work, moved, settings.enclosure_km).margin_km
+    margin = gather(work, moved).margin_km
     x, y = work.x_m / 1e3 - grid.origin_km[0], work.y_m / 1e3 - grid.origin_km[1]
     count = sum(part.numel() for part in (unknowns.white, unknowns.clock, unknowns.physics)) // members
     return Field(x, y, arrival, np.maximum(margin, -9.0), residence, detection, count)

@@ -53,6 +53,21 @@ class PaperField:
     def hours(self, scaled: Tensor) -> Tensor:
         return self.low_h + (self.high_h - self.low_h) * (scaled + 1) / 2
 
+    def folded(self) -> FoldedNetwork:
+        """The network for inference: batch norm folded into the dense layers, plain arrays, no framework."""
+        layers = []
+        blocks = list(self.network.backbone)
+        for dense, norm in zip(blocks[0::4], blocks[1::4], strict=True):
+            gain = (norm.weight / torch.sqrt(norm.running_var + norm.eps)).detach()
+            weight = (dense.weight.detach() * gain[:, None]).T.contiguous().numpy()
+            layers.append((weight, ((dense.bias.detach() - norm.running_mean) * gain + norm.bias.detach()).numpy()))
+        heads = [self.network.arrival_head, self.network.detection_head]
+        weight = torch.cat([head.weight.detach() for head in heads]).T.contiguous().numpy()
+        layers.append((weight, torch.cat([head.bias.detach() for head in heads]).numpy()))
+        return FoldedNetwork(
+            tuple(layers), self.low_km, self.high_km, self.low_h + self.shift_h, self.high_h + self.shift_h
+        )
+
     @torch.no_grad()
     def at(self, x_km: Floats, y_km: Floats) -> tuple[Floats, Floats]:
         """Arrival h and fire probability at points, as the commonest fire sensor would see them; both (1, n)."""
@@ -61,6 +76,31 @@ class PaperField:
         scaled, logit = self.network(self.inputs(x_km.ravel(), y_km.ravel(), source))
         arrival = self.hours(scaled).numpy().astype(float) + self.shift_h
         return arrival[None], torch.sigmoid(logit).numpy().astype(float)[None]
+
+
+@dataclass(frozen=True)
+class FoldedNetwork:
+    """A fitted network as dense layers (weight, bias) on plain arrays; local km and source id in, hours and fire
+    probability out. About ten times as fast as the framework for a single sample."""
+
+    layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+    low_km: Floats
+    high_km: Floats
+    low_h: float
+    high_h: float
+
+    def __call__(self, x_km: Floats, y_km: Floats, source: NDArray[np.int8]) -> tuple[Floats, Floats]:
+        """Arrival h and fire probability of points (n,) as their sources would see them; both (n,)."""
+        values = np.zeros((x_km.size, 2 + len(SOURCES)), np.float32)
+        values[:, 0] = 2 * (x_km - self.low_km[0]) / (self.high_km[0] - self.low_km[0]) - 1
+        values[:, 1] = 2 * (y_km - self.low_km[1]) / (self.high_km[1] - self.low_km[1]) - 1
+        values[np.arange(x_km.size), 2 + source] = 1.0
+        for weight, bias in self.layers[:-1]:
+            values = np.maximum(values @ weight + bias, 0.0)
+        weight, bias = self.layers[-1]
+        out = (values @ weight + bias).astype(float)
+        hours = self.low_h + (self.high_h - self.low_h) * (out[:, 0] + 1) / 2
+        return hours, 1.0 / (1.0 + np.exp(-np.clip(out[:, 1], -30.0, 30.0)))
 
 
 def undersample(is_fire: NDArray[np.bool_], generator: torch.Generator) -> NDArray[np.int64]:

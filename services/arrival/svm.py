@@ -24,19 +24,21 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SvmSettings:
-    """`gamma_factor` multiplies the published kernel width; 4 was the best on the tuning seeds of synthetic fires.
+    """`gamma_factor` multiplies the published kernel coefficient, `penalty` the published C; both, and the radius
+    `clean_km` around a detection within which later looks without fire are dropped (that ground may have burned out),
+    are the best on tuning seeds of the synthetic fires.
 
     `upper_step` and `lower_step` (of the scaled time) space the artificial points above detections and below looks
     without fire; None leaves them out. `sheet` unburned points a side lie `sheet_gap` below the earliest look.
     """
 
-    gamma_factor: float = 4.0
-    penalty: float = 100.0
+    gamma_factor: float = 160.0
+    penalty: float = 1.0
+    clean_km: float = 0.7
     upper_step: float | None = 0.1
     lower_step: float | None = None
     sheet: int = 20
     sheet_gap: float = 0.1
-    cleaned: bool = True
     fire_margin: float = 0.3
     most_points: int = 4000
 
@@ -122,35 +124,38 @@ def _thinned(points: Floats, most: int, generator: np.random.Generator) -> Float
     return points[np.sort(generator.choice(len(points), most, replace=False))]
 
 
-def fit_svm(looks: Looks, settings: SvmSettings, seed: int) -> SvmSurface:
-    """Train on looks with fire and without. Deterministic in its inputs and `seed`, which thins large classes.
-
-    Raises DomainError without any look that saw no fire and without the artificial sheet: one class cannot be parted.
-    """
-    from sklearn.svm import SVC
-
+def _training_points(looks: Looks, settings: SvmSettings, seed: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Scaled burned and unburned points, artificial ones included, with the low corner and span of the scaling."""
     generator = np.random.default_rng(seed)
     burned = is_fire_evidence(looks)
     points = np.column_stack([looks.x_km, looks.y_km, looks.time_h])
-    reach = np.maximum(looks.radius_km, 0.2)
     low, high = points[burned].min(axis=0), points[burned].max(axis=0)
     pad = np.maximum(settings.fire_margin * (high - low), [1.0, 1.0, 0.0])
-    near = ((points[:, :2] >= (low - pad)[:2]) & (points[:, :2] <= (high + pad)[:2])).all(axis=1)
-    fire, other = points[burned], points[~burned & near]
-    other_reach = reach[~burned & near]
-    if len(other) == 0 and not settings.sheet:
-        message = "a support vector machine needs looks that saw no fire, or artificial ones"
-        raise DomainError(message, field="detections", value="no such look", accepted="looks with fire = false")
-    if settings.cleaned and len(other):
-        other = _cleaned(fire, other, other_reach)
+    near = ((points[:, :2] >= (low - pad)[:2]) & (points[:, :2] <= (high + pad)[:2])).all(axis=1) & ~burned
+    fire, other = points[burned], points[near]
+    if settings.clean_km > 0 and len(other):
+        other = _cleaned(fire, other, np.maximum(looks.radius_km[near], settings.clean_km))
     together = np.concatenate([fire, other])
     low, span = together.min(axis=0), np.maximum(np.ptp(together, axis=0), [0.5, 0.5, 1.0])
     half = settings.most_points // 2
     fire, other = ((_thinned(part, half, generator) - low) / span for part in (fire, other))
-    burned_points, unburned_points = _artificial(fire, other, settings)
-    burned_points, unburned_points = (_thinned(part, half, generator) for part in (burned_points, unburned_points))
-    x = np.concatenate([burned_points, unburned_points])
-    y = np.concatenate([np.ones(len(burned_points)), -np.ones(len(unburned_points))])
+    fire, other = (_thinned(part, half, generator) for part in _artificial(fire, other, settings))
+    return fire, other, low, span
+
+
+def fit_svm(looks: Looks, settings: SvmSettings, seed: int) -> SvmSurface:
+    """Train on looks with fire and without. Deterministic in its inputs and `seed`, which thins large classes.
+
+    Raises DomainError where nothing is unburned (no such look and no artificial sheet): one class cannot be parted.
+    """
+    from sklearn.svm import SVC
+
+    fire, other, low, span = _training_points(looks, settings, seed)
+    if len(other) == 0:
+        message = "a support vector machine needs looks that saw no fire, or artificial ones"
+        raise DomainError(message, field="detections", value="no such look", accepted="looks with fire = false")
+    x = np.concatenate([fire, other])
+    y = np.concatenate([np.ones(len(fire)), -np.ones(len(other))])
     scale = np.sqrt(len(x)) / 12.0
     gamma = settings.gamma_factor * scale / (3.0 * x.std())
     machine = SVC(C=settings.penalty * scale, gamma=gamma, class_weight="balanced", cache_size=400, max_iter=300_000)

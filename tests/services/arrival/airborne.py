@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import geopandas as gpd
@@ -10,8 +11,8 @@ import pandas as pd
 import shapely
 
 from services.arrival.assignment import assign
-from services.arrival.field import FieldSettings
-from services.arrival.fires import build_case, map_case
+from services.arrival.fires import FireCase, build_case, map_case
+from services.arrival.inference import Settings
 from services.arrival.looks import confident
 from services.arrival.metrics import sorensen
 from services.arrival.readers.granules import read_viirs
@@ -20,8 +21,21 @@ from services.arrival.readers.granules import read_viirs
 FIRES = {"bobcat": ("2020-09-06T00:00Z", 56.25), "mineral": ("2020-07-13T00:00Z", 51.25)}
 
 
-def sorensen_against_perimeter(data: Path, name: str, method: str, settings: FieldSettings | None = None) -> float:
-    """Sorensen of the cells reached by the time of the airborne perimeter against its area."""
+@dataclass(frozen=True)
+class AirborneCase:
+    """A fire as the service sees it, the cells inside the airborne outline, and when (hours) the aircraft saw it."""
+
+    case: FireCase
+    inside: np.ndarray
+    seen_h: float
+
+    def sorensen(self, method: str, settings: Settings | None = None) -> float:
+        """Sorensen of the cells reached by the time of the airborne perimeter against its area."""
+        return sorensen(map_case(self.case, method, 0, settings).arrival_h <= self.seen_h, self.inside)
+
+
+def airborne_case(data: Path, name: str) -> AirborneCase:
+    """The granules around one fire, its grid of 100 m and its outline."""
     folder = data / "active_fire" / name
     day, hours = FIRES[name]
     outline = gpd.read_file(next((folder / "ir_perimeter").glob("*HeatPerimeter.shp"))).to_crs(4326)
@@ -39,8 +53,12 @@ def sorensen_against_perimeter(data: Path, name: str, method: str, settings: Fie
     case = build_case(
         incidents.iloc[0], detections, nothing, assign(detections, incidents), detections["time"].max(), 100.0, 3.0, 0
     )
-    arrival = map_case(case, method, 0, settings)
-    limit = (start + pd.Timedelta(hours=hours) - case.reference).total_seconds() / 3600.0
     x, y = np.meshgrid(case.grid.x_m, case.grid.y_m)
     shape = shapely.union_all(shapely.make_valid(outline.to_crs(case.grid.epsg).geometry.to_numpy()))
-    return sorensen(arrival.arrival_h <= limit, shapely.contains_xy(shape, x, y))
+    limit = (start + pd.Timedelta(hours=hours) - case.reference).total_seconds() / 3600.0
+    return AirborneCase(case, shapely.contains_xy(shape, x, y), limit)
+
+
+def sorensen_against_perimeter(data: Path, name: str, method: str, settings: Settings | None = None) -> float:
+    """Sorensen of one method's cells reached by the time of the airborne perimeter against its area."""
+    return airborne_case(data, name).sorensen(method, settings)

@@ -8,11 +8,9 @@ import numpy as np
 
 from services.arrival import metrics
 from services.arrival.assignment import assign
-from services.arrival.field import FieldSettings
 from services.arrival.fires import FireCase, build_case, map_case
-from services.arrival.inference import ArrivalMap
-from services.arrival.paper_method import PaperSettings
-from tests.services.arrival.synthetic_fires import CELL_KM, SyntheticFire
+from services.arrival.inference import DEFAULT_METHOD, ArrivalMap, Settings
+from tests.services.arrival.synthetic_fires import SyntheticFire
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,9 @@ def case_of(fire: SyntheticFire, cell_m: float = 500.0) -> FireCase:
 
 def truth_on(case: FireCase, fire: SyntheticFire) -> np.ndarray:
     """True arrival, hours since the case's reference, at the cell centres of the case's grid; NaN unburned."""
-    row = np.floor((case.grid.y_m - fire.y_m[0]) / (CELL_KM * 1e3) + 0.5).astype(int)
-    column = np.floor((case.grid.x_m - fire.x_m[0]) / (CELL_KM * 1e3) + 0.5).astype(int)
+    cell_m = fire.x_m[1] - fire.x_m[0]
+    row = np.floor((case.grid.y_m - fire.y_m[0]) / cell_m + 0.5).astype(int)
+    column = np.floor((case.grid.x_m - fire.x_m[0]) / cell_m + 0.5).astype(int)
     inside = ((row >= 0) & (row < fire.y_m.size))[:, None] & ((column >= 0) & (column < fire.x_m.size))
     picked = fire.arrival_h[np.clip(row, 0, fire.y_m.size - 1)][:, np.clip(column, 0, fire.x_m.size - 1)]
     lead_h = (fire.start - case.reference).total_seconds() / 3600.0
@@ -49,8 +48,8 @@ def score(arrival: ArrivalMap, truth_h: np.ndarray) -> Score:
 
 
 def run(
-    fire: SyntheticFire, method: str = "fusion-nn", settings: FieldSettings | PaperSettings | None = None
+    fire: SyntheticFire, method: str = DEFAULT_METHOD, settings: Settings | None = None, cell_m: float = 500.0
 ) -> tuple[ArrivalMap, Score]:
-    case = case_of(fire)
+    case = case_of(fire, cell_m)
     arrival = map_case(case, method, 0, settings)
     return arrival, score(arrival, truth_on(case, fire))

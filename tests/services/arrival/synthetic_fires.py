@@ -120,24 +120,25 @@ class Sky:
     drift_km_h: np.ndarray
     turn_h: float
 
+    side_km: float = SIDE_KM
+
     def at(self, time_h: float) -> np.ndarray:
         """Thickness of the cloud (100, 100) at a time; any unit."""
         phase = 2 * np.pi * time_h / self.turn_h
         now = np.cos(phase) * self.fields[0] + np.sin(phase) * self.fields[1]
-        rows, columns = np.rint(self.drift_km_h * time_h * 100 / SIDE_KM).astype(int)
+        rows, columns = np.rint(self.drift_km_h * time_h * 100 / self.side_km).astype(int)
         return np.roll(now, (rows, columns), axis=(0, 1))
 
 
-def _sky(rng: np.random.Generator) -> Sky:
+def _sky(rng: np.random.Generator, side_km: float) -> Sky:
     heading, speed = rng.uniform(0, 2 * np.pi), rng.uniform(2, 15)
     drift = speed * np.array([np.sin(heading), np.cos(heading)])
-    return Sky(np.stack([_smooth_noise(rng, 100, 8) for _ in range(2)]), drift, float(rng.uniform(18, 48)))
+    return Sky(np.stack([_smooth_noise(rng, 100, 8) for _ in range(2)]), drift, float(rng.uniform(18, 48)), side_km)
 
 
-def _look(rng, arrival_h, residence_h, time_h, pixel_km, detect, cloudiness, sky):
-    """One granule: pixel centres (km) seen through cloud, and whether fire was seen in each."""
-    cell = CELL_KM
-    size = int(SIDE_KM / pixel_km) - 1
+def _look(rng, arrival_h, cell, residence_h, time_h, pixel_km, detect, cloudiness, sky):
+    """One granule: pixel centres (km) seen through cloud, and whether fire was seen in each. `cell` is in km."""
+    size = int(sky.side_km / pixel_km) - 1
     origin = rng.uniform(0, pixel_km, 2)
     row = origin[0] + pixel_km * (np.arange(size) + 0.5)
     column = origin[1] + pixel_km * (np.arange(size) + 0.5)
@@ -155,13 +156,19 @@ def _look(rng, arrival_h, residence_h, time_h, pixel_km, detect, cloudiness, sky
     fade = 1 - 0.6 * np.clip(age / residence_h, 0, 1)  # a cooling pixel is missed more often
     seen_fire = hot & (rng.random(hot.shape) < detect * np.where(np.isfinite(age), fade, 0))
     cloud = sky.at(time_h)
-    clear = cloud[(yy / SIDE_KM * 99).astype(int), (xx / SIDE_KM * 99).astype(int)] > np.quantile(cloud, cloudiness)
+    clear = cloud[(yy / sky.side_km * 99).astype(int), (xx / sky.side_km * 99).astype(int)] > np.quantile(
+        cloud, cloudiness
+    )
     jitter = rng.normal(0, 0.15 * max(pixel_km, 0.375), (2, *yy.shape))
     return yy[clear] + jitter[0][clear], xx[clear] + jitter[1][clear], seen_fire[clear]
 
 
-def _burned_area(rng, arrival_h, end_h, tracks, delay_h):
-    """Rows (y_km, x_km, t_h, probability, burned) of CYGNSS-like tracks, 5 km by 1 km, calibrated probability."""
+def _burned_area(rng, arrival_h, end_h, tracks, delay_h, noise):
+    """Rows (y_km, x_km, t_h, probability, burned) of CYGNSS-like tracks, 5 km by 1 km.
+
+    A look speaks of the ground as it was `delay_h` before: what burned later shows only afterwards. `noise` (logits) is
+    about 1 for raw-IF and larger for nominal retrievals.
+    """
     rows = []
     for _ in range(tracks):
         time_h = rng.uniform(min(delay_h, end_h * 0.9), end_h)
@@ -173,64 +180,44 @@ def _burned_area(rng, arrival_h, end_h, tracks, delay_h):
             i, j = int(y / CELL_KM), int(x / CELL_KM)
             window = arrival_h[max(i - 4, 0) : i + 5, max(j - 4, 0) : j + 5]
             share = float(np.mean(window <= time_h))
-            probability = float(1 / (1 + np.exp(-(4 * (share - 0.5) + rng.normal(0, 1.0)))))
+            probability = float(1 / (1 + np.exp(-(4 * (share - 0.5) + rng.normal(0, noise)))))
             rows.append((y, x, time_h, probability, probability >= 0.5))
     return rows
 
 
-def make_fire(
+def _granules(
+    rng: np.random.Generator,
     seed: int,
-    observations: int = 5000,
-    days: int = 5,
-    zone: int = 13,
-    tracks: int = 0,
-    cloudiness: float | None = None,
-    corner_m: tuple[float, float] = (400_000.0, 3_700_000.0),
-    delay_h: float = 24.0,
-) -> SyntheticFire:
-    """One fire and at most about `observations` looks at it; the same seed gives the same fire."""
-    rng = np.random.default_rng(seed)
-    size = int(SIDE_KM / CELL_KM)
-    fuel = np.exp(0.45 * _smooth_noise(rng, size, 6))
-    fuel[_smooth_noise(rng, size, 5) > 2.0] = 0.0
-    start_cell = (int(rng.uniform(0.35, 0.65) * size), int(rng.uniform(0.35, 0.65) * size))
-    fuel[start_cell] = 1.0
-    hours = days * 24.0
-    progress = _directional_progress(rng, hours)
-    arrival_h = _spread(fuel, start_cell, progress, hours)
-    residence_h = float(rng.uniform(4, 12))
-    cloudiness = float(rng.uniform(0.05, 0.45)) if cloudiness is None else cloudiness
-    sky = _sky(np.random.default_rng(seed + 700_000))
-    detect = {"VIIRS": float(rng.uniform(0.6, 0.75)), "MODIS": float(rng.uniform(0.4, 0.5))}
+    arrival_h: np.ndarray,
+    cell_km: float,
+    residence_h: float,
+    days: int,
+    cloudiness: float,
+    detect: dict[str, float],
+) -> pd.DataFrame:
+    """All looks (y_km, x_km, t_h, fire, ...) of all passes over a fire."""
+    sky = _sky(np.random.default_rng(seed + 700_000), cell_km * arrival_h.shape[0])
     rows = []
     for time_h, satellite, instrument, pixel_km in _overpasses(rng, days):
-        share = float(np.clip(cloudiness + rng.normal(0, 0.2), 0, 1))
-        y, x, seen = _look(rng, arrival_h, residence_h, time_h, pixel_km, detect[instrument], share, sky)
-        rows.append(
-            pd.DataFrame(
-                {
-                    "y_km": y,
-                    "x_km": x,
-                    "t_h": time_h,
-                    "fire": seen,
-                    "satellite": satellite,
-                    "instrument": instrument,
-                    "along_m": pixel_km * 1e3,
-                    "across_m": pixel_km * 1e3,
-                }
-            )
-        )
-    looks = pd.concat(rows, ignore_index=True)
+        share = float(np.clip(cloudiness + rng.normal(0, 0.2), 0, 1)) if cloudiness < 0.9 else cloudiness
+        y, x, seen = _look(rng, arrival_h, cell_km, residence_h, time_h, pixel_km, detect[instrument], share, sky)
+        where = {"y_km": y, "x_km": x, "t_h": time_h, "fire": seen, "satellite": satellite, "instrument": instrument}
+        rows.append(pd.DataFrame({**where, "along_m": pixel_km * 1e3, "across_m": pixel_km * 1e3}))
+    return pd.concat(rows, ignore_index=True)
+
+
+def _thin(rng: np.random.Generator, looks: pd.DataFrame, observations: int) -> pd.DataFrame:
+    """All looks with fire and as many others, at random, as fit (at least half of `observations`)."""
     keep = np.flatnonzero(looks["fire"].to_numpy())
     others = np.flatnonzero(~looks["fire"].to_numpy())
     spare = max(observations - keep.size, observations // 2)
     chosen = np.sort(np.concatenate([keep, rng.choice(others, min(spare, others.size), replace=False)]))
-    looks = looks.iloc[chosen].reset_index(drop=True)
-    start = pd.Timestamp("2022-06-01T18:00Z")
-    transform = Transformer.from_crs(f"EPSG:326{zone:02d}", "EPSG:4326", always_xy=True)
-    lon, lat = transform.transform(corner_m[0] + looks["x_km"] * 1e3, corner_m[1] + looks["y_km"] * 1e3)
+    return looks.iloc[chosen].reset_index(drop=True)
+
+
+def _detections(looks: pd.DataFrame, start: pd.Timestamp, place: Place) -> gpd.GeoDataFrame:
     times = start + pd.to_timedelta(looks["t_h"], unit="h")
-    detections = gpd.GeoDataFrame(
+    return gpd.GeoDataFrame(
         {
             "time": times.dt.floor("ms"),
             "delivered_at": (times + pd.Timedelta(hours=3)).dt.floor("ms"),
@@ -242,14 +229,51 @@ def make_fire(
             "along_m": looks["along_m"],
             "across_m": looks["across_m"],
         },
-        geometry=gpd.points_from_xy(lon, lat),
+        geometry=place.points(looks["x_km"].to_numpy(float), looks["y_km"].to_numpy(float)),
         crs="EPSG:4326",
     )
-    points = _burned_area(np.random.default_rng(seed + 500_000), arrival_h, hours, tracks, delay_h)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where on Earth a fire lies: UTM zone and the square's corner."""
+
+    zone: int
+    corner_m: tuple[float, float]
+
+    def points(self, x_km: np.ndarray, y_km: np.ndarray) -> np.ndarray:
+        transform = Transformer.from_crs(f"EPSG:326{self.zone:02d}", "EPSG:4326", always_xy=True)
+        return gpd.points_from_xy(*transform.transform(self.corner_m[0] + x_km * 1e3, self.corner_m[1] + y_km * 1e3))
+
+
+def observed(
+    seed: int,
+    rng: np.random.Generator,
+    arrival_h: np.ndarray,
+    cell_km: float,
+    start_cell: tuple[int, int],
+    days: int,
+    observations: int | None,
+    tracks: int,
+    cloudiness: float | None,
+    place: Place,
+    delay_h: float,
+    noise: float = 1.0,
+    mode: str = "raw-if",
+) -> SyntheticFire:
+    """A fire of known arrival (square array, hours; NaN unburned) and the tables that satellites make of it."""
+    residence_h = float(rng.uniform(4, 12))
+    cloudiness = float(rng.uniform(0.05, 0.45)) if cloudiness is None else cloudiness
+    detect = {"VIIRS": float(rng.uniform(0.6, 0.75)), "MODIS": float(rng.uniform(0.4, 0.5))}
+    looks = _granules(rng, seed, arrival_h, cell_km, residence_h, days, cloudiness, detect)
+    if observations is not None:
+        looks = _thin(rng, looks, observations)
+    start = pd.Timestamp("2022-06-01T18:00Z")
+    hours = days * 24.0
+    points = []
+    if tracks:
+        points = _burned_area(np.random.default_rng(seed + 500_000), arrival_h, hours, tracks, delay_h, noise)
     ba = pd.DataFrame(points, columns=["y_km", "x_km", "t_h", "burned_probability", "burned"])
-    b_lon, b_lat = transform.transform(
-        corner_m[0] + ba["x_km"].to_numpy(float) * 1e3, corner_m[1] + ba["y_km"].to_numpy(float) * 1e3
-    )
     burned_area = gpd.GeoDataFrame(
         {
             "time": start + pd.to_timedelta(ba["t_h"].astype(float), unit="h"),
@@ -258,13 +282,12 @@ def make_fire(
             "burned_probability": ba["burned_probability"].astype(float),
             "burned": ba["burned"].astype(bool),
             "confidence": 80.0,
-            "mode": "raw-if",
+            "mode": mode,
         },
-        geometry=gpd.points_from_xy(b_lon, b_lat),
+        geometry=place.points(ba["x_km"].to_numpy(float), ba["y_km"].to_numpy(float)),
         crs="EPSG:4326",
     )
-    centre = (np.array(start_cell) + 0.5) * CELL_KM * 1e3
-    i_lon, i_lat = transform.transform(corner_m[0] + centre[1], corner_m[1] + centre[0])
+    centre_km = (np.array(start_cell) + 0.5) * cell_km
     incidents = gpd.GeoDataFrame(
         {
             "incident_id": [f"synthetic-{seed}"],
@@ -273,21 +296,41 @@ def make_fire(
             "area_km2": [np.nan],
             "known_at": [start + pd.Timedelta(hours=2)],
         },
-        geometry=gpd.points_from_xy([i_lon], [i_lat]),
+        geometry=place.points(centre_km[1:], centre_km[:1]),
         crs="EPSG:4326",
     )
-    cell_m = CELL_KM * 1e3
-    axis = (np.arange(size) + 0.5) * cell_m
-    return SyntheticFire(
-        seed,
-        start,
-        corner_m[0] + axis,
-        corner_m[1] + axis,
-        f"EPSG:326{zone:02d}",
-        arrival_h,
-        residence_h,
-        detections,
-        burned_area,
-        incidents,
-        start + pd.Timedelta(hours=hours),
+    sides = zip(place.corner_m, arrival_h.shape[::-1], strict=True)
+    x_m, y_m = (low + (np.arange(n) + 0.5) * cell_km * 1e3 for low, n in sides)
+    end = start + pd.Timedelta(hours=hours)
+    detections = _detections(looks, start, place)
+    crs = f"EPSG:326{place.zone:02d}"
+    return SyntheticFire(seed, start, x_m, y_m, crs, arrival_h, residence_h, detections, burned_area, incidents, end)
+
+
+def make_fire(
+    seed: int,
+    observations: int | None = 5000,
+    days: int = 5,
+    zone: int = 13,
+    tracks: int = 0,
+    cloudiness: float | None = None,
+    corner_m: tuple[float, float] = (400_000.0, 3_700_000.0),
+    delay_h: float = 24.0,
+    noise: float = 1.0,
+    mode: str = "raw-if",
+) -> SyntheticFire:
+    """One fire and about `observations` looks at it (None: every pixel of every pass); the same seed gives the same
+    fire."""
+    rng = np.random.default_rng(seed)
+    size = int(SIDE_KM / CELL_KM)
+    fuel = np.exp(0.45 * _smooth_noise(rng, size, 6))
+    fuel[_smooth_noise(rng, size, 5) > 2.0] = 0.0
+    start_cell = (int(rng.uniform(0.35, 0.65) * size), int(rng.uniform(0.35, 0.65) * size))
+    fuel[start_cell] = 1.0
+    hours = days * 24.0
+    progress = _directional_progress(rng, hours)
+    arrival_h = _spread(fuel, start_cell, progress, hours)
+    place = Place(zone, corner_m)
+    return observed(
+        seed, rng, arrival_h, CELL_KM, start_cell, days, observations, tracks, cloudiness, place, delay_h, noise, mode
     )

@@ -1,8 +1,9 @@
 """What the looks say of each cell."""
 
 import numpy as np
+import pytest
 
-from services.arrival.extent import closing, gather, paint
+from services.arrival.extent import closing, gather, paint, reach_and_enclosure, sightings_per_pixel
 from services.arrival.grid import FireGrid
 from services.arrival.looks import BURNED_AREA, FIRE, NO_FIRE, Looks
 
@@ -57,3 +58,23 @@ def test_a_lone_detection_in_the_corner_of_a_coarse_cell_is_kept() -> None:
     coarse = FireGrid(32613, 400_000 + 2000 * (np.arange(10) + 0.5), 3_700_000 + 2000 * (np.arange(10) + 0.5), 2000.0)
     evidence = gather(coarse, looks([(0.05, 0.05, 5, FIRE, 1, 0.2)]))
     assert evidence.enclosed.sum() == 1
+
+
+def _pixels(share: float) -> Looks:
+    """A burned square of 12 km of which a share of the 375 m pixels was sighted."""
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(-6, 6, 0.375), np.arange(-6, 6, 0.375)))
+    chosen = np.random.default_rng(1).random(x.size) < share
+    return looks([(a, b, 5, FIRE, 1, 0.2116) for a, b in zip(x[chosen], y[chosen], strict=True)])
+
+
+def test_the_outline_reaches_farther_where_sightings_are_sparse() -> None:
+    assert 0.9 < sightings_per_pixel(_pixels(1.0)) < 1.1
+    assert 0.2 < sightings_per_pixel(_pixels(0.3)) < 0.45
+    (dense_reach, dense_gap), (sparse_reach, sparse_gap) = (reach_and_enclosure(_pixels(s)) for s in (1.0, 0.3))
+    assert dense_reach < 0.2 < 0.4 < sparse_reach and dense_gap < sparse_gap
+
+
+def test_without_fine_sightings_the_outline_is_as_of_sparse_ones() -> None:
+    coarse = looks([(0.0, 0.0, 5, FIRE, 1, 1.0)] * 20)
+    assert sightings_per_pixel(coarse) == 0.0
+    assert reach_and_enclosure(coarse) == pytest.approx((0.45, 3.0))

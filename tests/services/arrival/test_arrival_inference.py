@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from services.arrival.field import FieldSettings, Ignition
+from services.arrival.field import FieldSettings
 from services.arrival.fires import map_case
-from services.arrival.inference import METHODS, infer_arrival
-from services.arrival.looks import FIRE, NO_FIRE
+from services.arrival.inference import FORMER_NAMES, METHODS, infer_arrival
+from services.arrival.looks import FIRE, NO_FIRE, Ignition
 from services.arrival.network import seeded
 from services.arrival.paper_method import PaperSettings, fit_paper, undersample
 from shared.errors import DomainError
@@ -17,7 +17,7 @@ from tests.services.arrival.scored import FireCase, Score, case_of, run, score, 
 from tests.services.arrival.seeds import BENCH, TESTS, TUNING
 from tests.services.arrival.synthetic_fires import SyntheticFire, make_fire
 
-FAST = FieldSettings(steps=150, members=2)
+FAST = FieldSettings(steps=60, members=2)
 
 
 @pytest.fixture(scope="module")
@@ -43,16 +43,18 @@ def test_the_generator_repeats_itself_and_is_a_fire(fire: SyntheticFire) -> None
     assert 25 <= fire.detections["time"].nunique() <= 40
 
 
-def test_default_beats_the_plain_baseline_and_the_papers_network() -> None:
+def test_default_beats_the_support_vectors_the_plain_baseline_and_the_papers_network() -> None:
     fires = [make_fire(seed, observations=3000) for seed in TESTS[3:5]]
-    ours = [run(fire, settings=FieldSettings(steps=250, members=3))[1] for fire in fires]
+    ours = [run(fire, settings=FieldSettings())[1] for fire in fires]
     plain = [run(fire, "nearest-detection")[1] for fire in fires]
-    paper = [run(fire, "fusion-nn-paper", PaperSettings(epochs=20))[1] for fire in fires]
+    paper = [run(fire, "fusion-nn", PaperSettings(epochs=20))[1] for fire in fires]
 
     def mean(scores: list[Score]) -> float:
         return float(np.mean([entry.mae_h for entry in scores]))
 
+    peer = [run(fire, "svm")[1] for fire in fires]
     assert mean(ours) < 5.0
+    assert mean(ours) < 0.8 * mean(peer)
     assert mean(ours) < 0.8 * mean(plain)
     assert mean(ours) < 0.5 * mean(paper)
     assert min(entry.f1 for entry in ours) > 0.88
@@ -60,14 +62,21 @@ def test_default_beats_the_plain_baseline_and_the_papers_network() -> None:
 
 
 def test_same_seed_same_map_and_another_seed_another(case: FireCase) -> None:
-    first, again, other = (map_case(case, "fusion-nn", seed, FAST) for seed in (0, 0, 1))
+    first, again, other = (map_case(case, "arrival-field", seed, FAST) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first.arrival_h, again.arrival_h)
     np.testing.assert_array_equal(first.burned_probability, again.burned_probability)
     assert not np.array_equal(first.arrival_h, other.arrival_h)
 
 
+def test_a_former_name_gives_the_method_it_named(case: FireCase) -> None:
+    quick = PaperSettings(epochs=2)
+    for former, name in FORMER_NAMES.items():
+        before, now = map_case(case, former, 0, quick), map_case(case, name, 0, quick)
+        np.testing.assert_array_equal(before.burned_probability, now.burned_probability)
+
+
 def test_map_is_consistent_with_itself(case: FireCase) -> None:
-    arrival = map_case(case, "fusion-nn", 0, FAST)
+    arrival = map_case(case, "arrival-field", 0, FAST)
     burned = np.isfinite(arrival.arrival_h)
     assert (arrival.q05_h[burned] <= arrival.arrival_h[burned]).all()
     assert (arrival.arrival_h[burned] <= arrival.q95_h[burned]).all()
@@ -81,7 +90,7 @@ def test_map_is_consistent_with_itself(case: FireCase) -> None:
 def test_elsewhere_on_earth_the_map_is_the_same(zone_crs_corner: tuple[int, tuple[float, float]]) -> None:
     zone, corner = zone_crs_corner
     fire = make_fire(TESTS[3], observations=1500, zone=zone, corner_m=corner)
-    result = map_case(case_of(fire), "fusion-nn", 0, FAST)
+    result = map_case(case_of(fire), "arrival-field", 0, FAST)
     assert score(result, truth_on(case_of(fire), fire)).f1 > 0.85
 
 
@@ -100,7 +109,7 @@ def _only(case: FireCase, rows: np.ndarray) -> FireCase:
 
 def test_one_detection_gives_a_flagged_and_wide_map(case: FireCase) -> None:
     first = int(np.flatnonzero(case.looks.kind == FIRE)[5])
-    arrival = map_case(_only(case, np.array([first])), "fusion-nn", 0, FAST)
+    arrival = map_case(_only(case, np.array([first])), "arrival-field", 0, FAST)
     assert {"one-detection", "no-negative-looks"} <= set(arrival.flags)
     burned = np.isfinite(arrival.arrival_h)
     assert 1 <= burned.sum() <= 20
@@ -110,12 +119,12 @@ def test_one_detection_gives_a_flagged_and_wide_map(case: FireCase) -> None:
 def test_detections_at_one_instant_are_flagged(case: FireCase) -> None:
     instant = case.looks.fire.time_h[20]
     rows = np.flatnonzero((case.looks.kind == FIRE) & (case.looks.time_h == instant))
-    assert "one-instant" in map_case(_only(case, rows), "fusion-nn", 0, FAST).flags
+    assert "one-instant" in map_case(_only(case, rows), "arrival-field", 0, FAST).flags
 
 
 def test_without_any_fire_nothing_burns_and_the_method_refuses(case: FireCase) -> None:
     none = _only(case, np.flatnonzero(case.looks.kind == NO_FIRE))
-    empty = map_case(none, "fusion-nn", 0, FAST)
+    empty = map_case(none, "arrival-field", 0, FAST)
     assert empty.flags == ("no-detection",) and np.isnan(empty.arrival_h).all()
     assert (empty.burned_probability == 0).all() and (empty.evidence.information == 1).any()
     with pytest.raises(DomainError) as error:
@@ -150,3 +159,12 @@ def test_bias_correction_moves_the_papers_network_by_a_constant(case: FireCase) 
     np.testing.assert_allclose(shift, shift[0, 0], atol=1e-6)
     fire = case.looks.fire
     assert abs(np.median(fire.time_h - moved.at(fire.x_km, fire.y_km)[0][0])) < 1e-3
+
+
+def test_the_folded_network_gives_what_the_framework_gives(case: FireCase) -> None:
+    fitted = fit_paper(case.looks, PaperSettings(epochs=3, bias_correction=True), 0)
+    x, y = np.linspace(-4, 4, 9), np.linspace(3, -3, 9)
+    hours, probability = fitted.at(x, y)
+    plain_hours, plain_probability = fitted.folded()(x, y, np.full(9, fitted.source, np.int8))
+    np.testing.assert_allclose(plain_hours, hours[0], atol=1e-3)
+    np.testing.assert_allclose(plain_probability, probability[0], atol=1e-5)
