@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from services.arrival.gathering import Tables
     from services.arrival.publish import FireResult, FireTask
 
-Format = Literal["pictures", "animation", "geotiff", "kml", "wrfxweb"]
+Format = Literal["pictures", "animation", "geotiff", "kml", "wrfxweb", "onnx"]
 ALL_FORMATS: tuple[Format, ...] = ("pictures", "animation", "geotiff", "kml", "wrfxweb")
 
 
@@ -55,7 +55,8 @@ class InferFireArrivalInputs(ProcessInputs):
     )
     ensemble: int | None = Field(None, ge=1, le=32, description="members of arrival-field; null: its own")
     formats: list[Format] = Field(
-        list(ALL_FORMATS), description="what is made beside the netCDF and the GeoJSON isochrones"
+        list(ALL_FORMATS),
+        description="what is made beside the netCDF and the GeoJSON isochrones; onnx: the network of fusion-nn",
     )
 
 
@@ -74,6 +75,7 @@ class InferFireArrivalOutputs(ProcessOutputs):
         [], description="Cloud-Optimised GeoTIFFs per incident: fire_arrival_<id>.tif and information_<id>.tif"
     )
     isochrones_kml: list[ArtifactRef] = Field([], description="KML per incident, an isochrone with its time span each")
+    networks: list[ArtifactRef] = Field([], description="ONNX per incident, where asked for, of fusion-nn")
     wrfxweb: ArtifactRef | None = Field(None, description="manifest of wrfxweb; its pictures lie beside it")
     tign_g: ArtifactRef | None = Field(None, description="netCDF with TIGN_G on the fire subgrid of `wrfinput`")
 
@@ -207,6 +209,7 @@ def _outputs(
         animations=of("fire_arrival_", ".gif"),
         geotiffs=of("", ".tif"),
         isochrones_kml=of("isochrones_", ".kml"),
+        networks=of("network_", ".onnx"),
         wrfxweb=web,
         tign_g=tign,
     )

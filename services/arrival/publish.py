@@ -24,10 +24,9 @@ from services.arrival.front.forecast import Front, forecast_front
 from services.arrival.front.weather import HourlyWeather
 from services.arrival.inference import ArrivalMap
 from services.arrival.metrics import mean_error_h, sorensen
+from services.arrival.paper_method import PaperSettings, fit_paper
 from services.arrival.sight import Passes, Sight, sight_of
 from shared.contracts.grids import FIRE_ARRIVAL, write_netcdf
-
-FORMATS = ("pictures", "animation", "geotiff", "kml", "wrfxweb")
 
 
 @dataclass(frozen=True)
@@ -95,6 +94,16 @@ def _grids(folder: Path, task: FireTask, arrival: ArrivalMap, front: Front, sigh
         write_sight_geotiff(folder / f"information_{stem}.tif", sight, arrival.grid, tags)
 
 
+def _network(folder: Path, task: FireTask, arrival: ArrivalMap) -> None:
+    """The paper's network of this fire as ONNX: fitted again, which gives the same network."""
+    if "onnx" not in task.formats or not isinstance(task.settings, PaperSettings) or not arrival.parameters:
+        return
+    from services.arrival.exports.onnx_model import export_network
+
+    fitted = fit_paper(task.case.looks, task.settings, task.seed)
+    export_network(folder / f"network_{stem_of(task.case)}.onnx", fitted)
+
+
 def _front_report(front: Front, arrival: ArrivalMap) -> dict[str, Any]:
     cell_km2 = (arrival.grid.cell_m / 1e3) ** 2
     likely = (front.probability >= 0.5).sum() * cell_km2
@@ -120,6 +129,7 @@ def run_fire(task: FireTask) -> FireResult:
         folder = Path(scratch)
         _grids(folder, task, arrival, front, sight)
         _pictures(folder, task, arrival, front, sight)
+        _network(folder, task, arrival)
         linked = {}
         if "kml" in task.formats:
             text = isochrone_kml(features, {case.incident_id: case.name}, task.attributes)

@@ -105,3 +105,11 @@ def test_tign_g_of_a_request(tmp_path: Path) -> None:
     with pytest.raises(DomainError) as caught:
         run_request(tmp_path, STAGED, files={"wrfinput": {"href": "in/notes"}}, **PLAIN)
     assert caught.value.field == "wrfinput"
+
+
+def test_the_papers_network_comes_as_onnx_where_asked_for(tmp_path: Path) -> None:
+    both = {"formats": ["onnx"], "epochs": 3}
+    outputs = run_request(tmp_path, STAGED, method="fusion-nn", **both)
+    assert [file_of(ref).name for ref in outputs["networks"]] == ["network_one.onnx"]
+    assert file_of(outputs["networks"][0]).stat().st_size < 80_000
+    assert run_request(tmp_path, STAGED, method="nearest-detection", **both)["networks"] == []
