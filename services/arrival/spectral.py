@@ -40,9 +40,7 @@ def _cosines(count: int, cell_km: float, shortest_km: float) -> tuple[np.ndarray
     return modes, wavenumber[:kept]
 
 
-def cosine_field(
-    rows: int, columns: int, cell_km: float, length_km: float, smoothness: float = 1.0
-) -> CosineField:
+def cosine_field(rows: int, columns: int, cell_km: float, length_km: float, smoothness: float = 1.0) -> CosineField:
     """The Matern field of a correlation length and smoothness (the order nu) on rows x columns cells of `cell_km`."""
     along_y, k_y = _cosines(rows, cell_km, length_km / 1.2)
     along_x, k_x = _cosines(columns, cell_km, length_km / 1.2)

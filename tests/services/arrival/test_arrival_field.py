@@ -55,10 +55,10 @@ def test_shares_of_a_footprint_add_up_to_one_and_lie_around_it() -> None:
 def test_thinned_granules_are_noticed_and_their_looks_stand_for_more() -> None:
     x, y = (part.ravel() for part in np.meshgrid(np.arange(0, 20, 0.375), np.arange(0, 20, 0.375)))
     whole, weight, complete = representative(_looks(x, y))
-    assert complete and (weight == 1).all() and float(whole.radius_km.max()) < 0.4
+    assert complete and (weight < 1.1).all() and float(whole.radius_km.max()) < 0.4
     few = np.random.default_rng(1).choice(x.size, x.size // 20, replace=False)
     thin, heavier, complete = representative(_looks(x[few], y[few]))
-    assert not complete and (heavier > 1).all() and float(thin.radius_km.min()) > 0.5
+    assert not complete and (heavier > 1.5).all() and float(thin.radius_km.min()) > 0.5
 
 
 def test_the_fit_recovers_a_front_that_runs_east() -> None:
