@@ -8,7 +8,7 @@ from datetime import timedelta
 from flows.cases.bundle import CASE_FILE, Case
 from flows.loop_types import CaseInputs
 from flows.runner import Runner
-from flows.steps import IMPORT_CASE, SURVEY_TARGET
+from flows.steps import IMPORT_CASE
 
 BUNDLE = "bundle"
 CALIBRATION = "calibration"
@@ -36,7 +36,6 @@ def calibrate(runner: Runner, case: CaseInputs, days: int, step_s: int, seed: in
         "predict-access",
         {
             **{name: case.inputs[name] for name in ("receivers", "transmitters", "stations")},
-            "targets": runner.local(SURVEY_TARGET, {"region": list(case.region)})["targets"],
             "start": start.isoformat(),
             "duration_s": days * 86400,
             "step_s": step_s,

@@ -57,6 +57,8 @@ def taken(before: Handover, feedback: frozenset[str]) -> Handover:
         burned_area=before.burned_area,
         fire_arrival=before.fire_arrival if "arrival" in feedback else (),
         observed=before.observed if "observed" in feedback else None,
+        ratings=before.ratings,
+        targets_report=before.targets_report,
         schedule=before.schedule,
         spacecraft=before.spacecraft if "spacecraft" in feedback else None,
     )
@@ -70,6 +72,8 @@ def handover(before: Handover, steps: Mapping[str, Mapping[str, Any]], settings:
         burned_area=(*before.burned_area, steps["retrieve-burned-area"]["burned_area"]),
         fire_arrival=tuple(steps["infer-fire-arrival"]["fire_arrival"]),
         observed=steps["observed-places"]["observed"],
+        ratings=steps["rate-active-fires"]["ratings"],
+        targets_report=steps["build-targets"]["report"],
         schedule=steps["plan-observations"]["schedule"],
         as_run=steps["execute"]["as_run"],
         spacecraft=steps["execute"]["spacecraft"],

@@ -55,6 +55,8 @@ class Handover:
     burned_area: tuple[Reference, ...] = ()
     fire_arrival: tuple[Reference, ...] = ()
     observed: Reference | None = None
+    ratings: Reference | None = None  # these two only say what changed since; they change no number
+    targets_report: Reference | None = None
     schedule: Reference | None = None
     as_run: Reference | None = None
     spacecraft: Reference | None = None

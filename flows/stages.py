@@ -51,6 +51,8 @@ def prioritise(
             "fire_arrival": list(given.fire_arrival),
             "burned_area": burned if "burned-area-targets" in feedback else [],
             "observed": given.observed,
+            "previous_ratings": given.ratings,
+            "previous_report": given.targets_report,
             "area": list(case.region),
             "time": at,
             "horizon_h": settings.cycle_hours,
@@ -110,6 +112,7 @@ def plan(
             "target_radius_km": settings.target_radius_km,
             "area": list(case.region),
             "with_specular_points": True,
+            "with_figures": True,
             **settings.access,
         },
     )

@@ -9,12 +9,10 @@ from flows.steps.observed import OBSERVED_PLACES
 from flows.steps.perimeter_score import SCORE_PERIMETER
 from flows.steps.score import SCORE
 from flows.steps.situation import SITUATION
-from flows.steps.survey import SURVEY_TARGET
 from flows.steps.uplink import UPLINK
 
 LOCAL_STEPS = [
     IMPORT_CASE,
-    SURVEY_TARGET,
     ASSEMBLE_INPUTS,
     APPLY_DECISIONS,
     SET_HORIZON,

@@ -23,6 +23,9 @@ def sort_points(
 ) -> SortedPoints:
     """Sort points by whether they were delivered by ``end``.
 
+    Nominal data are of the four points that the receiver tracks (column ``nominal``), an image holds every point in the
+    antenna beams (column ``in_beam``); a table without these columns holds only points that count.
+
     Nominal data come down whole at the satellite's next contact and are level-1 data ``level1_latency_s`` later. A
     second of raw-IF data is delivered when its image's downlink is done. A point waits (``pending``) while its nominal
     data or its stored image have still to come; ``nominal_due`` remembers which of the two it still owes, and
@@ -35,8 +38,9 @@ def sort_points(
     if "nominal_down_at" in points:
         down_at = points["nominal_down_at"].astype(down_at.dtype).fillna(down_at)
     arrived = due & (down_at + pd.Timedelta(seconds=level1_latency_s) <= end)
-    down = _in_images(points, as_run[as_run["status"] == "downlinked"])
-    aboard = _in_images(points, as_run[as_run["status"] == "collected"])
+    seen = points["in_beam"].astype(bool) if "in_beam" in points else True
+    down = _in_images(points, as_run[as_run["status"] == "downlinked"]) & seen
+    aboard = _in_images(points, as_run[as_run["status"] == "collected"]) & seen
     owing = due & ~arrived
     waits = owing | aboard
     pending = points[waits].assign(

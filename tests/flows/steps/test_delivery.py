@@ -41,6 +41,13 @@ def test_nominal_data_wait_for_the_next_contact_and_for_processing() -> None:
     assert sorted_points.pending["time"].tolist() == [at(6.05), at(23.5)]
 
 
+def test_an_image_holds_only_what_was_in_the_beams() -> None:
+    seen = points(1, 1).assign(transmitter=["G07", "G08"], in_beam=[True, False])
+    sorted_points = sort_points(seen, images("downlinked", 1), CONTACTS, END, 2 * 3600)
+    assert sorted_points.raw_if["transmitter"].tolist() == ["G07"]
+    assert sorted_points.nominal["transmitter"].tolist() == ["G07", "G08"]
+
+
 def test_pending_points_are_delivered_once_in_the_next_cycle() -> None:
     first = sort_points(points(1, 6.05), images("collected"), CONTACTS, END, 2 * 3600)
     second = sort_points(first.pending, images("collected"), CONTACTS, END + pd.Timedelta(hours=24), 2 * 3600)
