@@ -20,7 +20,7 @@ Tight = tuple[dict[str, pd.DataFrame], Spacecraft]
 
 @pytest.fixture(scope="module")
 def tight(real_data: Path) -> Tight:
-    """Nine hours of three satellites with an eighth of the pre-fire targets and a third of the storage, battery short."""
+    """Nine hours of three satellites, an eighth of the pre-fire targets, a third of the storage, and a low battery."""
     frames, document = load(real_data / "planning/table1-la", "spacecraft_tight.json")
     frames = thin(frames, 8)
     start = pd.Timestamp(document["horizon_start"])  # type: ignore[arg-type]
