@@ -225,35 +225,41 @@ def read_geotiff(path: str) -> Fuels:
 
     try:
         with rasterio.open(path) as source:
-            bands = {}
-            for index, name in enumerate(source.descriptions, start=1):
-                if name in (*REQUIRED, *OPTIONAL, "mask_code"):
-                    bands[name] = _band(source, index, name)
+            known = (*REQUIRED, *OPTIONAL, "mask_code")
+            places = {name: index for index, name in enumerate(source.descriptions, start=1) if name in known}
+            _check_bands(places)
+            stack = source.read(list(places.values()))  # at once: bands are stored cell by cell
+            bands = {
+                name: _band(raw, source, index) if name != "mask_code" else raw
+                for raw, (name, index) in zip(stack, places.items(), strict=True)
+            }
             transform, crs, tags = source.transform, source.crs, source.tags()
             height, width = source.shape
     except rasterio.errors.RasterioIOError as error:
         raise ContractError(f"The fuels cannot be read as GeoTIFF: {error}", field="fuels") from error
-    missing = [name for name in (*REQUIRED, "mask_code") if name not in bands]
-    if missing:
-        raise DomainError(
-            f"The fuels GeoTIFF lacks the band '{missing[0]}'.",
-            field=missing[0],
-            accepted="bands described as " + ", ".join((*REQUIRED, "mask_code")),
-        )
     x_m = transform.c + transform.a * (np.arange(width) + 0.5)
     y_m = transform.f + transform.e * (np.arange(height) + 0.5)
     grid = danger_grid.aligned_usgs_window(x_m, y_m, crs.to_wkt() if crs else "")
     return checked_fuels(grid, bands, {name: str(tags[name]) for name in NOTES if name in tags})
 
 
-def _band(source: Any, index: int, name: str) -> Array:
-    raw = source.read(index)
-    if name == "mask_code":
-        return raw
+def _check_bands(found: Mapping[str, int]) -> None:
+    missing = [name for name in (*REQUIRED, "mask_code") if name not in found]
+    if missing:
+        raise DomainError(
+            f"The fuels GeoTIFF lacks the band '{missing[0]}'.",
+            field=missing[0],
+            accepted="bands described as " + ", ".join((*REQUIRED, "mask_code")),
+        )
+
+
+def _band(raw: Array, source: Any, index: int) -> Array:
+    """A band in its units, missing as NaN."""
     values = raw.astype(np.float32, copy=False)
     scale, offset, nodata = source.scales[index - 1], source.offsets[index - 1], source.nodatavals[index - 1]
+    missing = raw == nodata if nodata is not None and not np.isnan(nodata) else None
     if (scale, offset) != (1.0, 0.0):
         values = (values * np.float32(scale) + np.float32(offset)).astype(np.float32)
-    if nodata is not None and not np.isnan(nodata):
-        values[raw == nodata] = np.nan
+    if missing is not None:
+        values[missing] = np.nan
     return values
