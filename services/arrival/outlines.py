@@ -50,7 +50,7 @@ def area_of(geometry: BaseGeometry) -> BaseGeometry | None:
     areas = []
     for part in parts:
         if part.geom_type == "LineString" and part.is_ring:
-            part = shapely.Polygon(part)
+            part = shapely.Polygon(shapely.get_coordinates(part))
         elif part.geom_type == "GeometryCollection":
             part = area_of(part)
         if part is not None and part.geom_type in ("Polygon", "MultiPolygon"):

@@ -10,6 +10,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from services.arrival.front.rates import rate_of_spread_km_h
 from services.arrival.grid import FireGrid
 from services.arrival.inference import ArrivalMap
 from services.arrival.sight import HIDDEN, MEANINGS, Sight, sight_of
@@ -60,6 +61,14 @@ def _probability(values: Floats, long_name: str) -> xr.Variable:
     return xr.Variable(("y", "x"), values.astype(np.float32), attributes)
 
 
+def _rate_of_spread(arrival: ArrivalMap) -> xr.Variable:
+    rate = rate_of_spread_km_h(arrival.arrival_h, arrival.grid.cell_m / 1e3)
+    attributes = {"long_name": "rate of spread of the front as it arrived", "units": "km h-1", "grid_mapping": "crs"}
+    variable = xr.Variable(("y", "x"), rate.astype(np.float32), attributes)
+    variable.encoding["_FillValue"] = np.float32(np.nan)
+    return variable
+
+
 def _known(sight: Sight, reference: pd.Timestamp) -> dict[str, xr.Variable]:
     """The contract's `information` and `latest_observation`, and the finer state that tells cloud from no pass."""
     information = np.maximum(sight.state, HIDDEN) - HIDDEN  # no pass and hidden are both "not seen"
@@ -102,6 +111,7 @@ def to_dataset(
     variables["burned_probability"] = _probability(
         arrival.burned_probability, "probability that the cell had burned by the end of the period"
     )
+    variables["rate_of_spread"] = _rate_of_spread(arrival)
     variables |= _known(sight if sight is not None else sight_of(arrival), reference)
     if front24 is not None:
         variables["front24_probability"] = _probability(

@@ -83,9 +83,9 @@ def degrees_of(looks: Looks, arrival: ArrivalMap, place: Place) -> tuple[Floats,
 
 def draw_detections(axes: Axes, arrival: ArrivalMap, looks: Looks, place: Place) -> None:
     """Active-fire detections as dots and burned-area points of probability over a half as rings, with a legend."""
-    ring = {"s": 26, "facecolors": "none", "edgecolors": "#1f4e9c", "label": "burned (GNSS-R or perimeter)"}
+    ring: dict[str, Any] = {"s": 26, "facecolors": "none", "edgecolors": "#1f4e9c", "label": "burned (GNSS-R, mapped)"}
     burned = looks.take((looks.kind == BURNED_AREA) & (looks.probability >= 0.5))
-    dot = {"s": 1.5, "color": "black", "alpha": 0.45, "label": "active-fire detection"}
+    dot: dict[str, Any] = {"s": 1.5, "color": "black", "alpha": 0.45, "label": "active-fire detection"}
     for chosen, style in ((looks.fire, dot), (burned, ring)):
         if len(chosen):
             axes.scatter(*degrees_of(chosen, arrival, place), linewidths=0.6, zorder=4, **style)

@@ -109,12 +109,13 @@ def read_firms(path: str | Path, name: str | None = None) -> gpd.GeoDataFrame:
     percent = _numbers(table.assign(confidence=stated.where(~stated.isin(FIRMS_CLASSES))), "confidence", label, 0, 100)
     satellite = table["satellite"].map(lambda value: FIRMS_SATELLITES.get(value, str(value).upper()))
     modis = satellite.isin(["TERRA", "AQUA"]).to_numpy()
-    instrument = table.get("instrument", pd.Series(np.where(modis, "MODIS", "VIIRS"), table.index)).str.upper()
+    guessed = pd.Series(np.where(modis, "MODIS", "VIIRS"), table.index)
+    instrument = table.get("instrument", guessed).astype(str).str.upper()
     frame = _detections(
         {
             "time": _instants(when, "%Y-%m-%d %H%M", label, "acq_date, acq_time"),
             "satellite": satellite,
-            "instrument": instrument.fillna("VIIRS"),
+            "instrument": instrument,
             "confidence": stated.map(FIRMS_CLASSES).fillna(pd.Series(percent, table.index)),
             "frp_mw": pd.Series(_numbers(table, "frp", label, -1e6, 1e6), table.index).where(lambda frp: frp >= 0),
             "along_m": 1e3 * _numbers(table, "track", label, 0, 20),
