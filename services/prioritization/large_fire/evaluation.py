@@ -127,14 +127,22 @@ def evaluate(
         }
     model = rivals["model"]
     report |= _headline(report, y, model.probability["natural"][tested], rate[tested], draws)
-    report["best_index_by_mcc"] = max((f.name for f in singles), key=lambda n: report["natural"][n]["mcc"])
-    report["best_index_by_auc"] = max((f.name for f in singles), key=lambda n: report["natural"][n]["auc"])
-    best = report["natural"][report["best_index_by_mcc"]]["mcc"]
-    report["mcc_over_best_index"] = report["mcc"] / best if best > 0 else None
-    report["counts"] = {rival: _counts(forecast.decided["natural"][tested]) for rival, forecast in rivals.items()} | {
-        "truth": _counts(y > 0)
+    return report | _against_indices(report, [feature.name for feature in singles], y, rivals, tested)
+
+
+def _against_indices(
+    report: dict[str, Any], singles: list[str], y: Array, rivals: dict[str, Forecasts], tested: npt.NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Which single index does best, by how much the blend exceeds it, and how many fires each calls large."""
+    rows = report["natural"]
+    best = max(singles, key=lambda name: rows[name]["mcc"])
+    called = {rival: _counts(forecast.decided["natural"][tested]) for rival, forecast in rivals.items()}
+    return {
+        "best_index_by_mcc": best,
+        "best_index_by_auc": max(singles, key=lambda name: rows[name]["auc"]),
+        "mcc_over_best_index": report["mcc"] / rows[best]["mcc"] if rows[best]["mcc"] > 0 else None,
+        "counts": called | {"truth": _counts(y > 0)},
     }
-    return report
 
 
 def _counts(large: npt.NDArray[np.bool_]) -> dict[str, int]:
@@ -142,17 +150,26 @@ def _counts(large: npt.NDArray[np.bool_]) -> dict[str, int]:
 
 
 def _resampled_weights(unit: npt.NDArray[np.str_], seed: int, resamples: int) -> list[Array]:
-    """Per resampling, how often each fire's season or region was drawn."""
+    """Per resampling, how often each fire's season or region was drawn; like draws are one array."""
     rng = np.random.default_rng(seed)
     names, index = np.unique(unit, return_inverse=True)
-    return [
-        np.bincount(rng.integers(0, len(names), len(names)), minlength=len(names))[index].astype(np.float64)
-        for _ in range(resamples)
-    ]
+    made: dict[bytes, Array] = {}
+    draws = []
+    for _ in range(resamples):
+        times = np.bincount(rng.integers(0, len(names), len(names)), minlength=len(names))
+        draws.append(made.setdefault(times.tobytes(), times[index].astype(np.float64)))
+    return draws
+
+
+def _per_draw(measure: Callable[[Array], Any], draws: list[Array]) -> list[Any]:
+    """A measure of each draw; of like draws (few seasons make few different ones) it is taken once."""
+    known = {id(draw): draw for draw in draws}
+    values = {key: measure(draw) for key, draw in known.items()}
+    return [values[id(draw)] for draw in draws]
 
 
 def _interval(measure: Callable[[Array], float], draws: list[Array]) -> list[float]:
-    values = [value for value in map(measure, draws) if np.isfinite(value)]
+    values = [value for value in _per_draw(measure, draws) if np.isfinite(value)]
     return [float(v) for v in np.quantile(values, [0.05, 0.95])] if values else []
 
 
@@ -171,7 +188,7 @@ def _row(
         }
 
     point = measures(weight)
-    drawn = [measures(weight * draw) for draw in draws if (draw * y).sum() > 0]
+    drawn = _per_draw(lambda draw: measures(weight * draw), [draw for draw in draws if (draw * y).sum() > 0])
     spread = {
         f"{name}_interval": [float(v) for v in np.nanquantile([row[name] for row in drawn], [0.05, 0.95])]
         for name in SUMMARY
