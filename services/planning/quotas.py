@@ -24,8 +24,8 @@ NEAR = 5
 CURVATURE = 0.02
 """Loss of an image's worth per image of distance from the relaxation's count, in the guiding program: the tangents
 alone are flat where many images tie, and the quotas would wander."""
-GUIDE_NODES, BOUND_NODES = 10, 40
-GUIDE_GAP_IMAGES, BOUND_GAP = 1.0, 3e-6
+GUIDE_NODES, BOUND_NODES = 5, 10
+GUIDE_GAP_IMAGES, BOUND_GAP = 4.0, 1e-5
 
 
 @dataclass(frozen=True)
