@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xgboost as xgb
 from numpy.typing import NDArray
 
+from services.retrieval.ancillary.layers import ANCILLARY_FEATURES
 from services.retrieval.baseline import CHANGE_FEATURES, change_features
 from services.retrieval.features import SHAPE_FEATURES, STRENGTH_FEATURES, TEXTURE_FEATURES
 from services.retrieval.ubj import is_whole_object
 from shared.errors import DomainError
 
 FEATURES = (*STRENGTH_FEATURES, *SHAPE_FEATURES, *TEXTURE_FEATURES, *CHANGE_FEATURES, "is_raw_if")
+ALL_FEATURES = (*FEATURES, *ANCILLARY_FEATURES)
 PARAMETERS = {
     "objective": "binary:logistic",
     "eval_metric": "logloss",
@@ -54,8 +58,10 @@ class BurnedModel:
         margin = self.booster.predict(data, output_margin=True).astype(np.float64)
         return 1.0 / (1.0 + np.exp(-(self.slope * margin + self.intercept)))
 
-    def save(self, path: str | Path) -> None:
-        """Write UBJ; calibration, threshold and feature names travel as booster attributes."""
+    def save(self, path: str | Path, attributes: Mapping[str, Any] | None = None) -> None:
+        """Write UBJ; calibration, threshold, feature names and product attributes travel as booster attributes."""
+        if attributes:
+            self.booster.set_attr(product=json.dumps(dict(attributes), sort_keys=True))
         self.booster.set_attr(
             calibration=json.dumps([self.slope, self.intercept]),
             threshold=repr(self.threshold),
@@ -85,17 +91,20 @@ def load_model(path: str | Path) -> BurnedModel:
             field="model",
             accepted="a UBJ file written by train-burned-area",
         ) from error
-    unknown = sorted(set(features) - set(FEATURES))
+    unknown = sorted(set(features) - set(ALL_FEATURES))
     if unknown:
-        raise DomainError(f"The model wants unknown features {unknown}.", field="model", accepted=", ".join(FEATURES))
+        accepted = ", ".join(ALL_FEATURES)
+        raise DomainError(f"The model wants unknown features {unknown}.", field="model", accepted=accepted)
     return BurnedModel(booster, float(slope), float(intercept), threshold, features, base_rate)
 
 
 def feature_table(looks: pd.DataFrame, baseline: pd.DataFrame | None) -> pd.DataFrame:
-    """FEATURES of looks, aligned to them."""
+    """ALL_FEATURES of looks, aligned to them; ancillary ones are NaN where the looks do not have them."""
     table = looks[[*STRENGTH_FEATURES, *SHAPE_FEATURES, *TEXTURE_FEATURES]].copy()
     table[list(CHANGE_FEATURES)] = change_features(looks, baseline)
     table["is_raw_if"] = (looks["mode"] == "raw-if").astype(np.float64)
+    for name in ANCILLARY_FEATURES:
+        table[name] = looks[name].astype(np.float64) if name in looks.columns else np.nan
     return table
 
 

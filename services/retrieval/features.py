@@ -145,6 +145,9 @@ def _position(meta: pd.DataFrame, mode: str) -> pd.DataFrame:
             "across_m": across_m,
             "incidence_deg": incidence,
             "mode": np.full(len(meta), mode, dtype=object),
+            "height_m": meta["srtm_dem_alt"].to_numpy(),
+            "slope_deg": meta["srtm_slope"].to_numpy(),
+            "land_cover": meta["modis_land_cover"].to_numpy(),
         }
     )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import AwareDatetime, Field
+from typing import Literal
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from shared.process import ArtifactRef, ProcessInputs, ProcessOutputs
 
@@ -39,19 +41,42 @@ class ObservedInputs(ProcessInputs):
     time_to: AwareDatetime | None = Field(None, description="only looks before this time, e.g. a cut-off")
 
 
-class RetrieveBurnedAreaInputs(ObservedInputs):
+class AncillaryInputs(ObservedInputs):
+    """What was seen, and what other sensors and maps know about the places."""
+
+    soil_moisture: list[ArtifactRef] = Field(
+        default_factory=list,
+        description="SMAP level-3 files (HDF5, day in the name) or Parquet time, row, column, soil_moisture",
+    )
+    soil_moisture_km: Literal[9, 36] = Field(9, description="EASE-Grid 2.0 resolution of the soil moisture")
+    elevation: ArtifactRef | None = Field(
+        None,
+        description="heights in metres, raster of any CRS (SRTM or another); null: level-1 srtm_dem_alt, srtm_slope",
+    )
+    land_cover: ArtifactRef | None = Field(
+        None, description="raster of land-cover codes, any CRS; null: level-1 modis_land_cover"
+    )
+
+
+class RetrieveBurnedAreaInputs(AncillaryInputs):
     """What was seen, how the places looked before, and what to judge with."""
 
     baseline: ArtifactRef | None = Field(
         None, description="pre-fire reflectivity per EASE cell, from train-soil-moisture; null: judged without change"
     )
     model: ArtifactRef | None = Field(None, description="model from train-burned-area (UBJ); null: the shipped one")
+    perimeters: ArtifactRef | None = Field(
+        None, description="fire perimeters (GeoParquet or GeoJSON) to draw under the looks; they enter no product"
+    )
 
 
 class RetrieveBurnedAreaOutputs(ProcessOutputs):
     burned_area: ArtifactRef
     report: ArtifactRef
-    map: ArtifactRef
+    map: ArtifactRef = Field(description="picture of the looks (PNG), over the perimeters where given")
+    grid: ArtifactRef = Field(description="EASE-Grid 2.0 3 km map with counts, CF netCDF")
+    cog: ArtifactRef = Field(description="the same as Cloud-Optimised GeoTIFF")
+    geojson: ArtifactRef = Field(description="looks as GeoJSON points, at most 5,000")
     look_count: int
     burned_count: int
 
@@ -72,11 +97,30 @@ class RetrieveSoilMoistureOutputs(ProcessOutputs):
     cell_count: int
 
 
-class TrainBurnedAreaInputs(ObservedInputs):
-    """Looks with known fate."""
+class BurnedRasterInput(BaseModel):
+    """One burned-area raster of any CRS, and what its values mean."""
 
-    labels: ArtifactRef = Field(
-        description="Parquet longitude_deg, latitude_deg, burn_time (null: unburned), or netCDF grid of burn_time"
+    model_config = ConfigDict(extra="forbid")
+    raster: ArtifactRef = Field(description="GeoTIFF or the like; MCD64A1 also as HDF4 tile")
+    product: Literal["mcd64a1", "firecci51", "landsat", "day-of-year", "class"] = Field(
+        description="mcd64a1, firecci51, day-of-year: 1..366 day of burning, 0 unburned, else not observed; landsat, "
+        "class: min_value and more burned, below unburned, negative not observed"
+    )
+    year: int | None = Field(None, ge=1980, le=2100, description="year of the days")
+    burned_on: AwareDatetime | None = Field(None, description="time by which the burned class had burned")
+    min_value: float = Field(1.0, gt=0, description="least value of the burned class")
+    observed_from: AwareDatetime | None = Field(None, description="what is 0 counts as unburned from this time on")
+    observed_to: AwareDatetime | None = Field(None, description="... and before this time; null: without bound")
+
+
+class TrainBurnedAreaInputs(AncillaryInputs):
+    """Looks with known fate: by places, by burned-area rasters, or by the union of both."""
+
+    labels: ArtifactRef | None = Field(
+        None, description="Parquet longitude_deg, latitude_deg, burn_time (null: unburned), or netCDF grid of burn_time"
+    )
+    burned_rasters: list[BurnedRasterInput] = Field(
+        default_factory=list, description="burned-area products; a place has burned where any of them says so"
     )
     baseline: ArtifactRef | None = Field(None, description="pre-fire reflectivity per EASE cell")
     calibration_share: float = Field(0.25, gt=0.05, lt=0.6, description="share of 1 degree blocks kept for calibration")

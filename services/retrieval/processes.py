@@ -10,9 +10,11 @@ from services.retrieval import process_models as models
 from shared.process import ArtifactRef, JobContext, Process
 
 if TYPE_CHECKING:
+    import geopandas
     import numpy as np
     import pandas as pd
 
+    from services.retrieval.ancillary.burned_rasters import BurnedRaster
     from services.retrieval.features import Observations
 
 MODEL_PATH = Path(__file__).parent / "models" / "burned_area.ubj"
@@ -62,14 +64,19 @@ def retrieve_burned_area(
     inputs: models.RetrieveBurnedAreaInputs, context: JobContext
 ) -> models.RetrieveBurnedAreaOutputs:
     """Burned probability of every usable look."""
-    from services.retrieval import burned_area, products
+    from services.retrieval import burned_area, burned_products, products
+    from services.retrieval.perimeters import read_perimeters
 
-    seen = _observations(inputs, context)
+    seen = _with_ancillary(inputs, context)
     baseline = None if inputs.baseline is None else _plain_table(inputs.baseline, context)
+    perimeters = None if inputs.perimeters is None else read_perimeters(context.path(inputs.perimeters))
     context.progress(60, "classifying")
     model = burned_area.load_model(MODEL_PATH if inputs.model is None else context.path(inputs.model))
     features = burned_area.feature_table(seen.looks, baseline)
-    table = products.burned_area_table(seen.looks, model.probability(features), model)
+    table = burned_products.burned_area_table(seen.looks, model.probability(features), model)
+    ref = context.write_table("burned_area.parquet", table, "BURNED_AREA")
+    context.progress(80, "maps")
+    refs = _burned_maps(table, model.threshold, perimeters, context)
     burned = int(table["burned"].sum())
     report = products.observation_report(seen) | {
         "threshold": model.threshold,
@@ -77,16 +84,32 @@ def retrieve_burned_area(
         "burned": burned,
         "looks": len(table),
     }
-    ref = context.write_table("burned_area.parquet", table, "BURNED_AREA")
-    context.progress(85, "map")
-    products.burned_area_map(table, context.new_file("burned_area.png"), context.product_attributes(), model.threshold)
     return models.RetrieveBurnedAreaOutputs(
         burned_area=ref,
         report=context.write_json("report.json", report),
-        map=context.ref("burned_area.png"),
+        **refs,
         look_count=len(table),
         burned_count=burned,
     )
+
+
+def _burned_maps(
+    table: geopandas.GeoDataFrame, threshold: float, perimeters: geopandas.GeoDataFrame | None, context: JobContext
+) -> dict[str, ArtifactRef]:
+    """The EASE-Grid map (netCDF, COG), the GeoJSON and the picture, by output name."""
+    from services.retrieval import burned_products
+    from shared.contracts.grids import write_netcdf
+
+    attributes = context.product_attributes()
+    grid = burned_products.burned_area_grid(table, threshold)
+    names = {"grid": "burned_area.nc", "cog": "burned_area.tif", "geojson": "burned_area.geojson"}
+    names["map"] = "burned_area.png"
+    paths = {output: context.new_file(name) for output, name in names.items()}
+    write_netcdf(paths["grid"], grid, attributes)
+    burned_products.write_burned_cog(paths["cog"], grid, attributes)
+    burned_products.write_burned_geojson(paths["geojson"], table, attributes)
+    burned_products.burned_area_map(table, paths["map"], attributes, threshold, perimeters)
+    return {output: context.ref(name) for output, name in names.items()}
 
 
 def retrieve_soil_moisture(
@@ -111,22 +134,33 @@ def retrieve_soil_moisture(
 
 
 def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext) -> models.TrainBurnedAreaOutputs:
-    """Train on blocks of places, calibrate on others."""
-    from services.retrieval import burned_area, products, training
+    """Train on some places and times, calibrate on others."""
+    from services.retrieval import products, training
 
-    seen = _observations(inputs, context)
-    labels = training.read_labels(context.path(inputs.labels))
+    seen = _with_ancillary(inputs, context)
+    places = None if inputs.labels is None else training.read_labels(context.path(inputs.labels))
+    rasters = [_burned_raster(given, context) for given in inputs.burned_rasters]
+    label = training.union_labels(seen.looks, places, rasters)
     baseline = None if inputs.baseline is None else _plain_table(inputs.baseline, context)
     context.progress(50, "training")
-    model, report = training.train_on_looks(seen.looks, labels, baseline, inputs.calibration_share)
-    model.save(context.new_file("model.ubj"))
-    document = report | products.observation_report(seen) | {"features": list(burned_area.FEATURES)}
+    model, report = training.train_on_looks(seen.looks, label, baseline, inputs.calibration_share)
+    model.save(context.new_file("model.ubj"), context.product_attributes())
     return models.TrainBurnedAreaOutputs(
         model=context.ref("model.ubj"),
-        report=context.write_json("report.json", document),
+        report=context.write_json("report.json", report | products.observation_report(seen)),
         look_count=report["looks"],
         auc=report["auc"],
     )
+
+
+def _burned_raster(given: models.BurnedRasterInput, context: JobContext) -> BurnedRaster:
+    from services.retrieval.ancillary.burned_rasters import BurnedRaster
+
+    coding = "class" if given.product in ("landsat", "class") else "day-of-year"
+    times = (_naive(time) for time in (given.burned_on, given.observed_from, given.observed_to))
+    burned_on, observed_from, observed_to = times
+    path = context.path(given.raster)
+    return BurnedRaster(path, coding, given.year, burned_on, given.min_value, observed_from, observed_to)
 
 
 def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> models.TrainSoilMoistureOutputs:
@@ -145,8 +179,8 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
         "leave_a_day_out": soil_moisture.skill_report(pairs),
         "median_slope_m3_m3_db": float(reference["slope"].median()),
     }
-    for name, table in (("reference", reference), ("baseline", baseline.build_baseline(seen.looks))):
-        table.to_parquet(context.new_file(f"{name}.parquet"), index=False, compression="zstd")
+    _write_plain("reference.parquet", reference, context)
+    _write_plain("baseline.parquet", baseline.build_baseline(seen.looks), context, _looks_product(inputs, context))
     return models.TrainSoilMoistureOutputs(
         reference=context.ref("reference.parquet"),
         baseline=context.ref("baseline.parquet"),
@@ -174,6 +208,26 @@ def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.
     )
 
 
+def _with_ancillary(inputs: models.AncillaryInputs, context: JobContext) -> Observations:
+    """Usable looks with what other sensors and maps know about their places."""
+    from dataclasses import replace
+
+    import pandas as pd
+
+    from services.retrieval.ancillary.layers import Layers, with_ancillary
+    from services.retrieval.ancillary.smap import read_smap
+
+    seen = _observations(inputs, context)
+    context.progress(50, "ancillary layers")
+    given = [
+        read_smap(context.path(ref), ref.name, resolution_km=inputs.soil_moisture_km) for ref in inputs.soil_moisture
+    ]
+    rasters = (None if ref is None else context.path(ref) for ref in (inputs.elevation, inputs.land_cover))
+    moisture = pd.concat(given, ignore_index=True) if given else None
+    layers = Layers(moisture, inputs.soil_moisture_km, *rasters)
+    return replace(seen, looks=with_ancillary(seen.looks, layers))
+
+
 def _observations(inputs: models.ObservedInputs, context: JobContext) -> Observations:
     """All usable looks of the input files within the input's times; marks the step simulated where a file is."""
     from services.retrieval.features import read_observations
@@ -184,6 +238,37 @@ def _observations(inputs: models.ObservedInputs, context: JobContext) -> Observa
         context.mark_simulated(share=sum(map(is_simulated, paths)) / len(paths))
     context.progress(10, "reading level-1 maps")
     return read_observations(paths, time_from=_naive(inputs.time_from), time_to=_naive(inputs.time_to))
+
+
+def _looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[str, Any]:
+    """The product attributes of a file made from the observations alone: theirs, and what the files say themselves."""
+    from services.retrieval.level1 import is_simulated
+
+    attributes = context.product_attributes(inputs.observations)
+    share = sum(is_simulated(context.path(reference)) for reference in inputs.observations) / len(inputs.observations)
+    share = round(max(share, attributes["simulated_share"]), 4)
+    return attributes | {"simulated": share > 0.0, "simulated_share": share}
+
+
+def _write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any] | None = None) -> None:
+    """Parquet of a table that is no contract between services, with its product attributes in the file's metadata.
+
+    ``attributes``: those of this file, where it was not made from all inputs; the manifest then says so, too.
+    """
+    import json
+
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from shared.contracts.schema import PRODUCT_KEY
+
+    path = context.new_file(name)
+    if attributes is not None:
+        context.describe(name, **{key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")})
+    document = {"table": name.removesuffix(".parquet"), **(attributes or context.product_attributes())}
+    content = pa.Table.from_pandas(table, preserve_index=False)
+    content = content.replace_schema_metadata({PRODUCT_KEY: json.dumps(document, sort_keys=True).encode()})
+    pq.write_table(content, str(path), compression="zstd")
 
 
 def _naive(time: Any) -> np.datetime64 | None:
@@ -234,7 +319,7 @@ PROCESSES = [
         "retrieve-burned-area",
         "Retrieve burned area",
         "Burned probability of every land look: reflectivity, shape, texture and change against the place's pre-fire "
-        "baseline, by a calibrated XGBoost model.",
+        "baseline, by a calibrated XGBoost model; points, EASE-Grid map with counts, GeoJSON and picture.",
         model_version=hashlib.sha256(MODEL_PATH.read_bytes()).hexdigest()[:12],
     ),
     _process(
@@ -247,7 +332,8 @@ PROCESSES = [
         train_burned_area,
         "train-burned-area",
         "Train the burned-area model",
-        "XGBoost on labelled looks, split by blocks of places, with calibrated probability; the model as UBJ.",
+        "XGBoost on looks labelled by places or by the union of burned-area rasters (MCD64A1, FireCCI51, Landsat), "
+        "split by region and time, with calibrated probability; the model as UBJ.",
     ),
     _process(
         train_soil_moisture,

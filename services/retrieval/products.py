@@ -1,18 +1,14 @@
-"""What leaves the retrieval: contract tables, the level-3 soil-moisture grid, maps for people, reports."""
+"""What leaves the retrieval: the level-3 soil-moisture grid, and the report on what was seen."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import geopandas
 import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from services.retrieval.burned_area import BurnedModel, confidence
 from services.retrieval.constants import FILL
 from services.retrieval.ease_grid import centre, centre_metres, ease_grid
 from services.retrieval.features import Observations
@@ -28,32 +24,6 @@ EASE_CRS = {
     "inverse_flattening": 298.257223563,
     "epsg_code": "EPSG:6933",
 }
-
-
-def burned_area_table(looks: pd.DataFrame, probability: NDArray, model: BurnedModel) -> geopandas.GeoDataFrame:
-    """The burned_area contract, a row a look, sorted by time; with ``satellite``, ``prn`` and ``reflectivity_db``.
-
-    ``prior_probability`` is the burned share that the probability was calibrated on: whoever knows better what share
-    has burned at a place (beside an active fire, say) takes the odds ratio of the two as the look's evidence.
-    """
-    frame = pd.DataFrame(
-        {
-            "time": looks["time"],
-            "along_m": looks["along_m"],
-            "across_m": looks["across_m"],
-            "burned_probability": probability,
-            "prior_probability": model.base_rate,
-            "burned": probability >= model.threshold,
-            "confidence": confidence(probability, model.threshold),
-            "mode": looks["mode"],
-            "satellite": [f"CYGFM{int(n):02d}" for n in looks["satellite"]],
-            "prn": looks["prn"].astype(np.int64),
-            "reflectivity_db": looks["reflectivity_db"],
-        }
-    )
-    points = geopandas.points_from_xy(looks["longitude_deg"], looks["latitude_deg"])
-    table = geopandas.GeoDataFrame(frame, geometry=points, crs="EPSG:4326")
-    return table.sort_values(["time", "satellite", "prn", "mode"], kind="stable", ignore_index=True)
 
 
 def observation_report(observations: Observations) -> dict[str, Any]:
@@ -136,56 +106,3 @@ def _level3_dataset(values, count, days, rows, columns) -> xr.Dataset:
     dataset["count"] = (dims, count, {**common, "long_name": "looks in the cell and day"})
     dataset["crs"] = ((), np.int32(6933), EASE_CRS)
     return dataset
-
-
-def footer(attributes: Mapping[str, Any]) -> str:
-    """The line that every map carries: simulated or not, oldest input, code."""
-    share = f" ({100 * float(attributes.get('simulated_share', 0)):.0f} %)"
-    state = f"SIMULATED input{share}" if attributes.get("simulated") else "no simulated input"
-    oldest = attributes.get("oldest_input") or "unknown"
-    return f"{state} · oldest input {oldest} · code {attributes.get('code_version', '')}"
-
-
-def burned_area_map(table: geopandas.GeoDataFrame, path: Path, attributes: Mapping[str, Any], threshold: float) -> None:
-    """Looks coloured by burned probability, verdicts ringed; circles nominal, squares raw-IF (PNG)."""
-    from matplotlib.figure import Figure  # no pyplot: no global state, no display
-
-    figure = Figure(figsize=(9.0, 7.6), dpi=110)
-    axes = figure.add_axes((0.09, 0.12, 0.78, 0.78))
-    drawn = _draw_looks(axes, table.sort_values("burned_probability", kind="stable"), threshold)
-    bar = figure.add_axes((0.89, 0.12, 0.025, 0.78))
-    figure.colorbar(drawn, cax=bar, label="probability that the place has burned")
-    axes.set_xlabel("longitude (degrees east)")
-    axes.set_ylabel("latitude (degrees north)")
-    span = "no usable look"
-    if len(table):
-        shrink = max(np.cos(np.deg2rad(float(table.geometry.y.mean()))), 0.1)
-        axes.set_aspect(1.0 / shrink, adjustable="datalim")
-        span = f"{table['time'].min():%Y-%m-%d %H:%M} to {table['time'].max():%Y-%m-%d %H:%M} UTC"
-    verdicts = f"{int(table['burned'].sum())} of {len(table)} looks burned (ringed: {threshold:.2f} and more)"
-    axes.set_title(f"Burned area from GNSS reflections\n{span}; {verdicts}", fontsize=10)
-    axes.legend(loc="upper right", fontsize=8)
-    axes.grid(alpha=0.3)
-    figure.text(0.01, 0.01, footer(attributes), fontsize=7, color="0.35")
-    figure.savefig(path, metadata={"Software": None})
-
-
-def _draw_looks(axes: Any, ordered: geopandas.GeoDataFrame, threshold: float) -> Any:
-    top = max(float(ordered["burned_probability"].max()) if len(ordered) else 0.0, min(2 * threshold, 1.0))
-    drawn = None
-    for mode, marker, size in (("nominal", "o", 14), ("raw-if", "s", 26)):
-        part = ordered[ordered["mode"] == mode]
-        drawn = axes.scatter(
-            part.geometry.x,
-            part.geometry.y,
-            c=part["burned_probability"],
-            s=size,
-            marker=marker,
-            edgecolors=np.where(part["burned"], "black", "0.75"),
-            linewidths=0.7,
-            cmap="YlOrRd",
-            vmin=0.0,
-            vmax=top,
-            label=f"{mode} ({len(part)})",
-        )
-    return drawn
