@@ -6,16 +6,13 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from services.retrieval import process_files as files
 from services.retrieval import process_models as models
 from shared.process import ArtifactRef, JobContext, Process
 
 if TYPE_CHECKING:
     import geopandas
-    import numpy as np
     import pandas as pd
-
-    from services.retrieval.ancillary.burned_rasters import BurnedRaster
-    from services.retrieval.features import Observations
 
 MODEL_PATH = Path(__file__).parent / "models" / "burned_area.ubj"
 
@@ -67,8 +64,8 @@ def retrieve_burned_area(
     from services.retrieval import burned_area, burned_products, products
     from services.retrieval.perimeters import read_perimeters
 
-    seen = _with_ancillary(inputs, context)
-    baseline = None if inputs.baseline is None else _plain_table(inputs.baseline, context)
+    seen = files.looks_with_ancillary(inputs, context)
+    baseline = None if inputs.baseline is None else files.read_plain(inputs.baseline, context)
     perimeters = None if inputs.perimeters is None else read_perimeters(context.path(inputs.perimeters))
     context.progress(60, "classifying")
     model = burned_area.load_model(MODEL_PATH if inputs.model is None else context.path(inputs.model))
@@ -119,9 +116,9 @@ def retrieve_soil_moisture(
     from services.retrieval import products, soil_moisture
     from shared.contracts.grids import write_netcdf
 
-    seen = _observations(inputs, context)
+    seen = files.read_looks(inputs, context)
     context.progress(60, "regression")
-    table, counts = soil_moisture.retrieve(seen.looks, _plain_table(inputs.reference, context))
+    table, counts = soil_moisture.retrieve(seen.looks, files.read_plain(inputs.reference, context))
     ref = context.write_table("soil_moisture.parquet", table, "SOIL_MOISTURE")
     write_netcdf(context.new_file("soil_moisture.nc"), products.level3_grid(table), context.product_attributes())
     report = products.observation_report(seen) | counts | {"cell_days": len(table)}
@@ -137,11 +134,11 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
     """Train on some places and times, calibrate on others."""
     from services.retrieval import products, training
 
-    seen = _with_ancillary(inputs, context)
+    seen = files.looks_with_ancillary(inputs, context)
     places = None if inputs.labels is None else training.read_labels(context.path(inputs.labels))
-    rasters = [_burned_raster(given, context) for given in inputs.burned_rasters]
+    rasters = [files.read_burned_raster(given, context) for given in inputs.burned_rasters]
     label = training.union_labels(seen.looks, places, rasters)
-    baseline = None if inputs.baseline is None else _plain_table(inputs.baseline, context)
+    baseline = None if inputs.baseline is None else files.read_plain(inputs.baseline, context)
     context.progress(50, "training")
     model, report = training.train_on_looks(seen.looks, label, baseline, inputs.calibration_share)
     model.save(context.new_file("model.ubj"), context.product_attributes())
@@ -153,23 +150,13 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
     )
 
 
-def _burned_raster(given: models.BurnedRasterInput, context: JobContext) -> BurnedRaster:
-    from services.retrieval.ancillary.burned_rasters import BurnedRaster
-
-    coding = "class" if given.product in ("landsat", "class") else "day-of-year"
-    times = (_naive(time) for time in (given.burned_on, given.observed_from, given.observed_to))
-    burned_on, observed_from, observed_to = times
-    path = context.path(given.raster)
-    return BurnedRaster(path, coding, given.year, burned_on, given.min_value, observed_from, observed_to)
-
-
 def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> models.TrainSoilMoistureOutputs:
     """Fit the regression of every cell, and keep the pre-fire reflectivities."""
     from services.retrieval import baseline, products, soil_moisture
 
-    seen = _observations(inputs, context)
+    seen = files.read_looks(inputs, context)
     context.progress(60, "regression")
-    truth = _plain_table(inputs.soil_moisture, context)
+    truth = files.read_plain(inputs.soil_moisture, context)
     reference = soil_moisture.train_reference(seen.looks, truth)
     slope = float(reference["incidence_slope_db_per_deg"].iloc[0])
     pairs = soil_moisture.match(seen.looks, truth, slope)
@@ -179,8 +166,10 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
         "leave_a_day_out": soil_moisture.skill_report(pairs),
         "median_slope_m3_m3_db": float(reference["slope"].median()),
     }
-    _write_plain("reference.parquet", reference, context)
-    _write_plain("baseline.parquet", baseline.build_baseline(seen.looks), context, _looks_product(inputs, context))
+    files.write_plain("reference.parquet", reference, context)
+    files.write_plain(
+        "baseline.parquet", baseline.build_baseline(seen.looks), context, files.looks_product(inputs, context)
+    )
     return models.TrainSoilMoistureOutputs(
         reference=context.ref("reference.parquet"),
         baseline=context.ref("baseline.parquet"),
@@ -206,88 +195,6 @@ def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.
         report=context.write_json("report.json", ddm_product.report(found, recording)),
         peak_to_mean=found.acquired.peak_to_mean,
     )
-
-
-def _with_ancillary(inputs: models.AncillaryInputs, context: JobContext) -> Observations:
-    """Usable looks with what other sensors and maps know about their places."""
-    from dataclasses import replace
-
-    import pandas as pd
-
-    from services.retrieval.ancillary.layers import Layers, with_ancillary
-    from services.retrieval.ancillary.smap import read_smap
-
-    seen = _observations(inputs, context)
-    context.progress(50, "ancillary layers")
-    given = [
-        read_smap(context.path(ref), ref.name, resolution_km=inputs.soil_moisture_km) for ref in inputs.soil_moisture
-    ]
-    rasters = (None if ref is None else context.path(ref) for ref in (inputs.elevation, inputs.land_cover))
-    moisture = pd.concat(given, ignore_index=True) if given else None
-    layers = Layers(moisture, inputs.soil_moisture_km, *rasters)
-    return replace(seen, looks=with_ancillary(seen.looks, layers))
-
-
-def _observations(inputs: models.ObservedInputs, context: JobContext) -> Observations:
-    """All usable looks of the input files within the input's times; marks the step simulated where a file is."""
-    from services.retrieval.features import read_observations
-    from services.retrieval.level1 import is_simulated
-
-    paths = [context.path(reference) for reference in inputs.observations]
-    if not context.product.simulated and any(is_simulated(path) for path in paths):
-        context.mark_simulated(share=sum(map(is_simulated, paths)) / len(paths))
-    context.progress(10, "reading level-1 maps")
-    return read_observations(paths, time_from=_naive(inputs.time_from), time_to=_naive(inputs.time_to))
-
-
-def _looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[str, Any]:
-    """The product attributes of a file made from the observations alone: theirs, and what the files say themselves."""
-    from services.retrieval.level1 import is_simulated
-
-    attributes = context.product_attributes(inputs.observations)
-    share = sum(is_simulated(context.path(reference)) for reference in inputs.observations) / len(inputs.observations)
-    share = round(max(share, attributes["simulated_share"]), 4)
-    return attributes | {"simulated": share > 0.0, "simulated_share": share}
-
-
-def _write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any] | None = None) -> None:
-    """Parquet of a table that is no contract between services, with its product attributes in the file's metadata.
-
-    ``attributes``: those of this file, where it was not made from all inputs; the manifest then says so, too.
-    """
-    import json
-
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from shared.contracts.schema import PRODUCT_KEY
-
-    path = context.new_file(name)
-    if attributes is not None:
-        context.describe(name, **{key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")})
-    document = {"table": name.removesuffix(".parquet"), **(attributes or context.product_attributes())}
-    content = pa.Table.from_pandas(table, preserve_index=False)
-    content = content.replace_schema_metadata({PRODUCT_KEY: json.dumps(document, sort_keys=True).encode()})
-    pq.write_table(content, str(path), compression="zstd")
-
-
-def _naive(time: Any) -> np.datetime64 | None:
-    import pandas as pd
-
-    return None if time is None else pd.Timestamp(time).tz_convert("UTC").tz_localize(None).to_datetime64()
-
-
-def _plain_table(reference: ArtifactRef, context: JobContext) -> pd.DataFrame:
-    """A Parquet table that is no contract between services; its reader checks the columns it needs."""
-    import pandas as pd
-    import pyarrow as pa
-
-    from shared.errors import DomainError
-
-    try:
-        return pd.read_parquet(context.path(reference))
-    except (pa.ArrowInvalid, OSError) as error:
-        raise DomainError(f"'{reference.name}' is no Parquet table: {error}", field=reference.name) from error
 
 
 def _process(run: Any, identifier: str, title: str, description: str, model_version: str = "") -> Process:

@@ -1,0 +1,107 @@
+"""Inputs of the retrieval's processes as looks, tables and rasters; tables that are no contract as files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from services.retrieval import process_models as models
+from shared.process import ArtifactRef, JobContext
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+
+    from services.retrieval.ancillary.burned_rasters import BurnedRaster
+    from services.retrieval.features import Observations
+
+
+def looks_with_ancillary(inputs: models.AncillaryInputs, context: JobContext) -> Observations:
+    """Usable looks with what other sensors and maps know about their places."""
+    from dataclasses import replace
+
+    import pandas as pd
+
+    from services.retrieval.ancillary.layers import Layers, with_ancillary
+    from services.retrieval.ancillary.smap import read_smap
+
+    seen = read_looks(inputs, context)
+    context.progress(50, "ancillary layers")
+    given = [
+        read_smap(context.path(ref), ref.name, resolution_km=inputs.soil_moisture_km) for ref in inputs.soil_moisture
+    ]
+    rasters = (None if ref is None else context.path(ref) for ref in (inputs.elevation, inputs.land_cover))
+    moisture = pd.concat(given, ignore_index=True) if given else None
+    layers = Layers(moisture, inputs.soil_moisture_km, *rasters)
+    return replace(seen, looks=with_ancillary(seen.looks, layers))
+
+
+def read_looks(inputs: models.ObservedInputs, context: JobContext) -> Observations:
+    """All usable looks of the input files within the input's times; marks the step simulated where a file is."""
+    from services.retrieval.features import read_observations
+    from services.retrieval.level1 import is_simulated
+
+    paths = [context.path(reference) for reference in inputs.observations]
+    if not context.product.simulated and any(is_simulated(path) for path in paths):
+        context.mark_simulated(share=sum(map(is_simulated, paths)) / len(paths))
+    context.progress(10, "reading level-1 maps")
+    return read_observations(paths, time_from=naive_utc(inputs.time_from), time_to=naive_utc(inputs.time_to))
+
+
+def looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[str, Any]:
+    """The product attributes of a file made from the observations alone: theirs, and what the files say themselves."""
+    from services.retrieval.level1 import is_simulated
+
+    attributes = context.product_attributes(inputs.observations)
+    share = sum(is_simulated(context.path(reference)) for reference in inputs.observations) / len(inputs.observations)
+    share = round(max(share, attributes["simulated_share"]), 4)
+    return attributes | {"simulated": share > 0.0, "simulated_share": share}
+
+
+def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any] | None = None) -> None:
+    """Parquet of a table that is no contract between services, with its product attributes in the file's metadata.
+
+    ``attributes``: those of this file, where it was not made from all inputs; the manifest then says so, too.
+    """
+    import json
+
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from shared.contracts.schema import PRODUCT_KEY
+
+    path = context.new_file(name)
+    if attributes is not None:
+        context.describe(name, **{key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")})
+    document = {"table": name.removesuffix(".parquet"), **(attributes or context.product_attributes())}
+    content = pa.Table.from_pandas(table, preserve_index=False)
+    content = content.replace_schema_metadata({PRODUCT_KEY: json.dumps(document, sort_keys=True).encode()})
+    pq.write_table(content, str(path), compression="zstd")
+
+
+def naive_utc(time: Any) -> np.datetime64 | None:
+    import pandas as pd
+
+    return None if time is None else pd.Timestamp(time).tz_convert("UTC").tz_localize(None).to_datetime64()
+
+
+def read_plain(reference: ArtifactRef, context: JobContext) -> pd.DataFrame:
+    """A Parquet table that is no contract between services; its reader checks the columns it needs."""
+    import pandas as pd
+    import pyarrow as pa
+
+    from shared.errors import DomainError
+
+    try:
+        return pd.read_parquet(context.path(reference))
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DomainError(f"'{reference.name}' is no Parquet table: {error}", field=reference.name) from error
+
+
+def read_burned_raster(given: models.BurnedRasterInput, context: JobContext) -> BurnedRaster:
+    from services.retrieval.ancillary.burned_rasters import BurnedRaster
+
+    coding = "class" if given.product in ("landsat", "class") else "day-of-year"
+    times = (naive_utc(time) for time in (given.burned_on, given.observed_from, given.observed_to))
+    burned_on, observed_from, observed_to = times
+    path = context.path(given.raster)
+    return BurnedRaster(path, coding, given.year, burned_on, given.min_value, observed_from, observed_to)
