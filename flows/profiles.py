@@ -25,7 +25,7 @@ _TINY = Profile(
         target_radius_km=5.0,
         targets={"active_spacing_km": 5, "prefire_spacing_deg": 0.1},
         planning={"time_limit_s": 60},
-        arrival={"cell_m": 1000, "epochs": 20, "ensemble": 2},
+        arrival={"cell_m": 1000, "epochs": 20, "ensemble": 2, "formats": ["pictures"]},
     ),
     calibration_days=6,
     calibration_step_s=1,

@@ -202,6 +202,7 @@ def understand(
         {
             "detections": known["detections"],
             "incidents": known["incidents"],
+            "weather": known["weather"],
             "burned_area": [*before.burned_area, burned["burned_area"]],
             "start": (case.first_cutoff - timedelta(days=3)).isoformat(),
             "end": end.isoformat(),

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from services.arrival.exports.geotiff import write_arrival_geotiff, write_sight_geotiff
 from services.arrival.exports.isochrones import isochrone_features
@@ -86,7 +87,8 @@ def _pictures(folder: Path, task: FireTask, arrival: ArrivalMap, front: Front, s
 
 def _grids(folder: Path, task: FireTask, arrival: ArrivalMap, front: Front, sight: Sight) -> None:
     case, stem = task.case, stem_of(task.case)
-    dataset = to_dataset(arrival, case.reference, case.incident_id, task.attributes, sight, front.probability)
+    stated = {**task.attributes, "end": iso(case.reference + pd.Timedelta(hours=case.end_h))}
+    dataset = to_dataset(arrival, case.reference, case.incident_id, stated, sight, front.probability)
     write_netcdf(folder / f"fire_arrival_{stem}.nc", FIRE_ARRIVAL.check(dataset))
     if "geotiff" in task.formats:
         tags = {**task.attributes, "incident_id": case.incident_id, "reference_time": iso(case.reference)}
