@@ -18,6 +18,7 @@ from services.planning.search.kernels import satellite_ok
 from services.planning.search.space import allot_downlinks, construct, energy_binds, search_space
 from services.planning.solving import branch_and_bound, solve_relaxation
 from services.planning.spacecraft_limits import satellite_limits
+from services.planning.subgradient import guided_multipliers
 from tests.services.planning.planning_cases import Case, exhaustive_optimum, random_case
 
 
@@ -84,6 +85,18 @@ def test_whole_quotas_tighten_the_bound_and_never_cut_a_plan_off(seed: int) -> N
     quotas = whole_quotas(model, chunks, coverage, relaxation, guide=False, time_limit_s=10.0)
     assert quotas.feasible
     assert exhaustive_optimum(case) - 1e-6 <= quotas.bound <= relaxation.bound + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_averaged_subgradients_bound_every_plan(seed: int) -> None:
+    case = random_case(seed)
+    chunks, coverage = reduced(problem_of(case))
+    found = guided_multipliers(build_model(problem_of(case), chunks, coverage), chunks, coverage)
+    best = exhaustive_optimum(case)
+    assert best - 1e-6 <= found.bound <= coverage.value.sum() + 1e-6
+    again = guided_multipliers(build_model(problem_of(case), chunks, coverage), chunks, coverage)
+    assert found.bound == again.bound
+    assert np.array_equal(found.images, again.images)
 
 
 @pytest.mark.parametrize("seed", range(6))
