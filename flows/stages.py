@@ -11,6 +11,19 @@ from flows.loop_types import CaseInputs, Handover, LoopSettings, cycle_label
 from flows.runner import Runner
 from flows.steps import APPLY_DECISIONS, ASSEMBLE_INPUTS, EXECUTE, OBSERVED_PLACES, SET_HORIZON, UPLINK
 
+# Options that are rules of the plan: the check must know them as well.
+PLAN_RULES = (
+    "frozen_until",
+    "change_penalty",
+    "min_collect_s",
+    "mode_switch_s",
+    "max_commands_per_day",
+    "booked_passes",
+    "acquisition_s",
+    "nominal_share",
+    "outages",
+    "target_changes",
+)
 KNOWN_INPUTS = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
 
 
@@ -129,7 +142,9 @@ def plan(
     }
     if changes := steps["apply-decisions"]["target_changes"]:
         request["target_changes"] = changes
-    planned = runner.service("planning", "plan-observations", {**request, **settings.planning})
+    request |= {name: value for name, value in settings.planning.items() if name in PLAN_RULES}
+    drawn = {"specular_points": access["specular_points"]}
+    planned = runner.service("planning", "plan-observations", {**request, **drawn, **settings.planning})
     checked = runner.service("planning", "check-plan", {**request, "schedule": planned["schedule"]})
     if not checked["valid"]:
         raise RuntimeError(f"the plan was rejected by its check: {checked['violations']}")
