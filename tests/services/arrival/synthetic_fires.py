@@ -166,8 +166,8 @@ def _look(rng, arrival_h, cell, residence_h, time_h, pixel_km, detect, cloudines
 def _burned_area(rng, arrival_h, end_h, tracks, delay_h, noise):
     """Rows (y_km, x_km, t_h, probability, burned) of CYGNSS-like tracks, 5 km by 1 km.
 
-    No look comes earlier than `delay_h` after the start, since burned area is known late. `noise` (logits) is about 1 for
-    raw-IF and larger for nominal retrievals.
+    No look comes earlier than `delay_h` after the start, since burned area is known late. `noise` (logits) is about 1
+    for raw-IF and larger for nominal retrievals.
     """
     rows = []
     for _ in range(tracks):
