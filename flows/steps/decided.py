@@ -13,7 +13,7 @@ from shared.process import ArtifactRef, JobContext, Process, ProcessInputs, Proc
 if TYPE_CHECKING:
     import geopandas
 
-_FIRST_ID = 8_000_000_000_000_000  # beyond every lattice, below 2^53: exact in JSON readers, too
+_FIRST_ID = 8_000_000_000_000_000  # lattice ids have 18 digits; below 2^53, so exact in JSON readers, too
 _RANGE = {"active": (0.1, 1.0), "prefire": (0.0, 0.9)}  # the one reward scale of the targets contract
 
 
