@@ -72,10 +72,10 @@ def _baseband(recording: Recording, channel: int, first: int, count: int, dopple
     return samples * np.exp(-2j * np.pi * (turns % 1.0)).astype(np.complex64)
 
 
-def _lost_ms(recording: Recording) -> NDArray[np.bool_]:
-    """True for each whole millisecond of the recording that overlaps a lost packet."""
-    lost = np.flatnonzero(recording.lost_bytes()) * 4
-    total = int(recording.duration_s * 1000)
+def _lost_ms(recording: Recording, total: int) -> NDArray[np.bool_]:
+    """True for each of the first ``total`` milliseconds that overlaps a lost packet."""
+    rows = int(np.ceil((total + 1) * recording.header.sampling_hz * 1e-3 / 4))
+    lost = np.flatnonzero(recording.lost_bytes(rows)) * 4
     marked = np.zeros(total + 1, dtype=bool)
     marked[np.minimum((lost * 1000 / recording.header.sampling_hz).astype(np.int64), total)] = True
     return marked
@@ -88,7 +88,7 @@ def acquire(recording: Recording, prn: int, channel: int, centre_hz: float, half
     size = int(rate * 1e-3)
     code = np.conj(np.fft.fft(replica(prn, np.arange(size) * (CODE_RATE_HZ / rate))))
     dopplers = centre_hz + np.arange(-half_width_hz, half_width_hz + 1.0, ACQUISITION_STEP_HZ)
-    lost = _lost_ms(recording)
+    lost = _lost_ms(recording, available)
     surface = np.zeros((dopplers.size, size))
     for ms in np.flatnonzero(~lost[:available]):
         first = int(np.ceil(ms * rate * 1e-3))
@@ -113,8 +113,10 @@ def delay_doppler_map(
     """
     found = acquire(recording, prn, channel, doppler_hz, search_hz)
     count = _check(recording, channel, 0, milliseconds)
-    lost = _lost_ms(recording)[:count]
+    lost = _lost_ms(recording, count)[:count]
     kept = np.flatnonzero(~lost)
+    if not kept.size:
+        raise DomainError("All milliseconds lie in lost packets.", field="recording", value=count, accepted="samples")
     total = np.zeros((DELAYS, DOPPLERS))
     noise = 0.0
     for ms in kept:

@@ -12,7 +12,8 @@ import pandas as pd
 from services.retrieval.acquisition import DELAYS, DOPPLER_STEP_HZ, DOPPLERS, DelayDopplerMap
 from services.retrieval.constants import BOLTZMANN_J_K, CODE_RATE_HZ, FILL
 from services.retrieval.level1_file import COUNTS_OF_NOISE, MapLayout, write_level1
-from services.retrieval.raw_if import Header, Recording
+from services.retrieval.observation_report import NOMINAL_BYTES_S
+from services.retrieval.raw_if import HEADER, Header, Recording
 from shared.errors import DomainError
 
 GPS_EPOCH_MS = int(np.datetime64("1980-01-06", "ms").astype(np.int64))
@@ -85,8 +86,9 @@ def _row(found: DelayDopplerMap, header: Header, prn: int, look: Mapping[str, fl
     return pd.DataFrame([values])
 
 
-def report(found: DelayDopplerMap, recording: Recording) -> dict[str, Any]:
-    """What was found, and how much of the recording was lost."""
+def report(found: DelayDopplerMap, recording: Recording, product_bytes: int) -> dict[str, Any]:
+    """What was found, how much of the recording was lost, and the data volumes before and after."""
+    nominal = NOMINAL_BYTES_S * recording.duration_s
     return {
         "code_phase_chips": found.acquired.code_phase_chips,
         "doppler_hz": found.acquired.doppler_hz,
@@ -96,4 +98,10 @@ def report(found: DelayDopplerMap, recording: Recording) -> dict[str, Any]:
         "milliseconds_lost": found.milliseconds_lost,
         "recording_s": recording.duration_s,
         "channels": recording.header.channels,
+        "data_volume": {
+            "raw_if_bytes": int(recording.data.size) + HEADER.size,
+            "ddm_bytes": product_bytes,
+            "nominal_bytes_of_the_time": round(nominal),
+            "raw_if_to_nominal": round(recording.data.size / nominal),
+        },
     }

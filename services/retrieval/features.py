@@ -16,6 +16,7 @@ from services.retrieval.land_screening import LandLimits, screen_land
 from services.retrieval.level1 import Chunk, read_level1
 from services.retrieval.reflectivity import footprint_m, reflectivity_db
 from services.retrieval.texture import PROPERTIES, quantise, texture
+from shared.fan_out import fan_out
 
 LOOK_S = {"nominal": 0.5, "raw-if": 1.0}
 SHAPE_FEATURES = (
@@ -163,21 +164,36 @@ def read_observations(
     DomainError where a file is unreadable or misshapen. No usable look at all gives an empty table, not an error: a
     clouded-out day is a fact.
     """
-    frames: list[pd.DataFrame] = []
+    tasks = [(str(path), limits or LandLimits(), time_from, time_to) for path in paths]
+    granules = fan_out(granule_looks, tasks)
     screening: dict[str, dict[str, int]] = {}
-    for path in paths:
-        for chunk in read_level1(path):
-            frame, counts = look_features(chunk, limits or LandLimits())
-            total = screening.setdefault(chunk.mode, {})
-            for reason, count in counts.items():
-                total[reason] = total.get(reason, 0) + count
-            inside = _within(frame["time"], time_from, time_to)
-            if not inside.all():
-                total["outside_time"] = total.get("outside_time", 0) + int((~inside).sum())
-            frames.append(frame[inside])
+    for _, counts in granules:
+        for mode, reasons in counts.items():
+            _add(screening.setdefault(mode, {}), reasons)
+    frames = [frame for frame, _ in granules]
     looks = pd.concat([frame for frame in frames if len(frame)] or frames[:1], ignore_index=True)
     row, column = row_column(looks["latitude_deg"].to_numpy(), looks["longitude_deg"].to_numpy(), 9)
     return Observations(looks.assign(row=row, column=column)[row >= 0].reset_index(drop=True), screening)
+
+
+def granule_looks(
+    path: str, limits: LandLimits, time_from: np.datetime64 | None, time_to: np.datetime64 | None
+) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
+    """Usable looks of one level-1 file within [time_from, time_to), and the counts of its screening by mode."""
+    frames: list[pd.DataFrame] = []
+    screening: dict[str, dict[str, int]] = {}
+    for chunk in read_level1(path):
+        frame, counts = look_features(chunk, limits)
+        inside = _within(frame["time"], time_from, time_to)
+        outside = {} if inside.all() else {"outside_time": int((~inside).sum())}
+        _add(screening.setdefault(chunk.mode, {}), counts | outside)
+        frames.append(frame[inside])
+    return pd.concat([frame for frame in frames if len(frame)] or frames[:1], ignore_index=True), screening
+
+
+def _add(total: dict[str, int], counts: dict[str, int]) -> None:
+    for reason, count in counts.items():
+        total[reason] = total.get(reason, 0) + count
 
 
 def _within(time: pd.Series, start: np.datetime64 | None, end: np.datetime64 | None) -> NDArray[np.bool_]:

@@ -20,20 +20,21 @@ FLAGS_1 = {
     "spacewire_crc_invalid": 6,
     "ddm_is_test_pattern": 7,
     "channel_idle": 8,
-    "step_lna_temperature_change": 14,
+    "large_step_lna_temp": 14,
     "direct_signal_in_ddm": 15,
-    "low_confidence_gps_eirp": 16,
+    "low_confidence_gps_eirp_estimate": 16,
     "rfi_detected": 17,
-    "sp_non_existent": 22,
-    "antenna_lut_range_error": 24,
-    "black_body_framing_error": 25,
+    "gps_pvt_sp3_error": 21,
+    "sp_non_existent_error": 22,
+    "ant_data_lut_range_error": 24,
+    "bb_framing_error": 25,
     "fsw_comp_shift_error": 26,
-    "sc_altitude_out_of_range": 28,
+    "sc_altitude_out_of_nominal_range": 28,
     "anomalous_sampling_period": 29,
     "invalid_roll_state": 30,
 }
 FLAGS_2 = {
-    "incorrect_ddmi_antenna": 0,
+    "incorrect_ddmi_antenna_selection": 0,
     "high_signal_noise": 1,
     "noise_floor_cal_error": 2,
     "land_poor_overall_quality": 11,
@@ -63,6 +64,7 @@ def screen_land(
     reasons = {
         "all_fill": metadata["all_fill"].to_numpy(),
         "part_fill": metadata["part_fill"].to_numpy(),
+        "no_time": metadata["time"].isna().to_numpy(),
         "missing_metadata": _missing(metadata),
         "peak_not_positive": ~(peak_w > 0),
         "unknown_prn": ~metadata["prn_code"].between(1, 32).to_numpy(),
@@ -84,7 +86,7 @@ def screen_land(
 def _missing(metadata: pd.DataFrame) -> NDArray[np.bool_]:
     needed = ["sp_lat", "sp_lon", "sp_inc_angle", "sp_rx_gain", "gps_eirp", "rx_to_sp_range", "tx_to_sp_range"]
     values = metadata[needed].to_numpy(dtype=np.float64)
-    finite = np.isfinite(values).all(axis=1)
+    finite = np.isfinite(values).all(axis=1) & metadata["quality_flags"].notna().to_numpy()
     inside = (np.abs(values[:, 0]) <= 90) & (values[:, 1] >= -180) & (values[:, 1] <= 360)
     positive = (values[:, 4:] > 0).all(axis=1)
     return ~(finite & inside & positive)

@@ -6,8 +6,8 @@ Variable names and fills follow the CYGNSS data dictionary (UM 148-0346). A real
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import netCDF4
@@ -33,16 +33,24 @@ REQUIRED = (
 OPTIONAL = (
     "ddm_snr",
     "ddm_noise_floor",
+    "reflectivity_peak",
     "quality_flags_2",
     "sp_land_valid",
     "sp_land_confidence",
     "pekel_sp_water_percentage_5km",
     "coherency_ratio",
+    "coherency_state",
+    "brcs_ddm_peak_bin_delay_row",
+    "brcs_ddm_peak_bin_dopp_col",
+    "track_id",
     "srtm_dem_alt",
     "srtm_slope",
     "modis_land_cover",
     "image_id",
 )
+FURTHER_MAPS = ("brcs", "raw_counts", "eff_scatter")
+FILLS = (-9999.0, -99999999.0)  # of the data dictionary, also where a variable names none
+ABSURD = 1e30  # netCDF's own fill of values never written
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,8 @@ class Chunk:
     """Maps of one mode with their metadata: ``metadata`` has a row a map, ``power_w`` is (map, delay, Doppler).
 
     Metadata columns are the level-1 names plus ``time`` (UTC, naive ms), ``satellite`` number, ``ddm``; fill is NaN.
-    Maps that hold fill are zero and their ``all_fill`` is true.
+    Bins of fill are zero in ``power_w``; ``all_fill`` or ``part_fill`` is true of their map. ``further`` holds other
+    maps that were asked for, by name (m2, counts), fill as NaN.
     """
 
     mode: str
@@ -58,21 +67,30 @@ class Chunk:
     doppler_resolution_hz: float
     metadata: pd.DataFrame
     power_w: NDArray[np.float32]
+    further: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
 
-def read_level1(path: str | Path, chunk_samples: int | None = None) -> Iterator[Chunk]:
-    """Yield the file's maps in chunks of samples; DomainError names what is unreadable, missing or misshapen."""
+def read_level1(
+    path: str | Path, chunk_samples: int | None = None, further_maps: Sequence[str] = ()
+) -> Iterator[Chunk]:
+    """Yield the file's maps in chunks of samples; DomainError names what is unreadable, missing or misshapen.
+
+    Nothing but a chunk is held: 4,096 samples of four nominal maps (12 MB) or 128 of raw-IF, where
+    ``chunk_samples`` is not given. ``further_maps`` of FURTHER_MAPS are read beside ``power_analog``.
+    """
     file = _open(path)
     with file:
         file.set_auto_maskandscale(False)
         mode = _check_layout(file, Path(path).name)
+        for name in further_maps:
+            _check_map(file, name, Path(path).name)
         samples = file.dimensions["sample"].size
         step = chunk_samples or (4096 if mode == "nominal" else 128)
         resolution = _resolutions(file, mode)
         for start in range(0, max(samples, 1), step):  # a file without samples is one empty chunk
             rows = slice(start, min(start + step, samples))
             try:
-                yield _read_chunk(file, rows, mode, resolution)
+                yield _read_chunk(file, rows, mode, resolution, further_maps)
             except (OSError, RuntimeError) as error:
                 raise DomainError(
                     f"'{Path(path).name}' breaks off in samples {rows.start}..{rows.stop}: {error}",
@@ -102,13 +120,20 @@ def _check_layout(file: netCDF4.Dataset, name: str) -> str:
             field=missing[0],
             accepted="CYGNSS level-1 v3 names",
         )
-    power = file.variables["power_analog"]
+    return _check_map(file, "power_analog", name)
+
+
+def _check_map(file: netCDF4.Dataset, variable: str, name: str) -> str:
+    """The mode that a map variable's shape means."""
+    if variable not in file.variables:
+        raise DomainError(f"'{name}' lacks {variable}.", field=variable, accepted=", ".join(FURTHER_MAPS))
+    power = file.variables[variable]
     shape = tuple(power.shape[2:])
     if power.dimensions != MAP_DIMENSIONS or shape not in SHAPES:
         hint = "; delay and Doppler are swapped" if shape[::-1] in SHAPES else ""
         raise DomainError(
-            f"'{name}': power_analog has dimensions {power.dimensions} of size {power.shape}{hint}.",
-            field="power_analog",
+            f"'{name}': {variable} has dimensions {power.dimensions} of size {power.shape}{hint}.",
+            field=variable,
             value=f"{power.dimensions} {power.shape}",
             accepted="(sample, ddm, delay, doppler) with 17 x 11 or 69 x 111 bins",
         )
@@ -122,10 +147,11 @@ def _resolutions(file: netCDF4.Dataset, mode: str) -> tuple[float, float]:
     return tuple(value if value > 0 else usual for value, usual in zip(found, standard, strict=True))
 
 
-def _read_chunk(file: netCDF4.Dataset, rows: slice, mode: str, resolution: tuple[float, float]) -> Chunk:
-    power_variable = file.variables["power_analog"]
-    power = power_variable[rows]
-    samples, channels = power.shape[:2]
+def _read_chunk(
+    file: netCDF4.Dataset, rows: slice, mode: str, resolution: tuple[float, float], further_maps: Sequence[str]
+) -> Chunk:
+    power = file.variables["power_analog"]
+    samples, channels = rows.stop - rows.start, power.shape[1]
     columns: dict[str, NDArray] = {
         "time": np.repeat(_times(file.variables["ddm_timestamp_utc"], rows), channels),
         "satellite": np.repeat(_satellites(file, rows, samples), channels),
@@ -133,24 +159,37 @@ def _read_chunk(file: netCDF4.Dataset, rows: slice, mode: str, resolution: tuple
     }
     for name in (*REQUIRED, *OPTIONAL):
         columns[name] = _values(file, name, rows, samples * channels)
-    maps = power.reshape(samples * channels, *power.shape[2:]).astype(np.float32, copy=False)
-    fill = maps == np.float32(getattr(power_variable, "_FillValue", -9999.0))
-    bad = fill | ~np.isfinite(maps)
+    maps = _maps(power, rows)
+    bad = np.isnan(maps)
     columns["all_fill"] = bad.all(axis=(1, 2))
     columns["part_fill"] = bad.any(axis=(1, 2)) & ~columns["all_fill"]
-    return Chunk(mode, *resolution, metadata=pd.DataFrame(columns), power_w=np.where(bad, np.float32(0.0), maps))
+    maps[bad] = 0.0
+    further = {name: _maps(file.variables[name], rows) for name in further_maps}
+    return Chunk(mode, *resolution, metadata=pd.DataFrame(columns), power_w=maps, further=further)
+
+
+def _maps(variable: netCDF4.Variable, rows: slice) -> NDArray[np.float32]:
+    """Maps of all channels, (sample x ddm, delay, Doppler), fill as NaN."""
+    raw = variable[rows]
+    values = raw.reshape(-1, *raw.shape[2:]).astype(np.float32)
+    values[_is_fill(variable, raw).reshape(values.shape) | ~np.isfinite(values)] = np.nan
+    return values
+
+
+def _is_fill(variable: netCDF4.Variable, raw: NDArray) -> NDArray[np.bool_]:
+    """True where a raw value stands for none: the variable's own fill, the dictionary's, or never written."""
+    own = [getattr(variable, name) for name in ("_FillValue", "missing_value") if hasattr(variable, name)]
+    fill = np.isin(raw, np.asarray([*own, *FILLS], dtype=raw.dtype if raw.dtype.kind == "f" else np.float64))
+    return fill | (np.abs(raw) > ABSURD) if raw.dtype.kind == "f" else fill
 
 
 def _values(file: netCDF4.Dataset, name: str, rows: slice, size: int) -> NDArray:
-    """One per-map variable, fill as NaN (flags: fill as 0); absent optional variables are NaN."""
+    """One per-map variable as float64 (flags of 32 bits fit), fill as NaN; absent optional variables are NaN."""
     if name not in file.variables:
         return np.full(size, np.nan)
     variable = file.variables[name]
     raw = variable[rows].reshape(-1)
-    fill = raw == getattr(variable, "_FillValue", -9999)
-    if name.startswith("quality_flags"):
-        return np.where(fill, 0, raw).astype(np.uint32)
-    return np.where(fill, np.nan, raw.astype(np.float64))
+    return np.where(_is_fill(variable, raw), np.nan, raw.astype(np.float64))
 
 
 def _times(variable: netCDF4.Variable, rows: slice) -> NDArray[np.datetime64]:
@@ -164,8 +203,10 @@ def _times(variable: netCDF4.Variable, rows: slice) -> NDArray[np.datetime64]:
             accepted="seconds since YYYY-MM-DD hh:mm:ss",
         )
     start = np.datetime64(words[1].strip().replace("Z", "").replace(" ", "T"), "ns").astype(np.int64)
-    milliseconds = np.round(variable[rows] * 1e3 + start / 1e6).astype(np.int64)
-    return milliseconds.astype("datetime64[ms]")
+    seconds = variable[rows]
+    known = np.isfinite(seconds) & ~_is_fill(variable, seconds)
+    milliseconds = np.round(np.where(known, seconds, 0.0) * 1e3 + start / 1e6).astype(np.int64)
+    return np.where(known, milliseconds.astype("datetime64[ms]"), np.datetime64("NaT", "ms"))
 
 
 def _satellites(file: netCDF4.Dataset, rows: slice, samples: int) -> NDArray[np.int64]:

@@ -57,10 +57,10 @@ def looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[st
     return attributes | {"simulated": share > 0.0, "simulated_share": share}
 
 
-def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any] | None = None) -> None:
+def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any]) -> None:
     """Parquet of a table that is no contract between services, with its product attributes in the file's metadata.
 
-    ``attributes``: those of this file, where it was not made from all inputs; the manifest then says so, too.
+    Where the file was not made from all inputs, its attributes differ from the step's; the manifest then says so, too.
     """
     import json
 
@@ -70,9 +70,10 @@ def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes:
     from shared.contracts.schema import PRODUCT_KEY
 
     path = context.new_file(name)
-    if attributes is not None:
-        context.describe(name, **{key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")})
-    document = {"table": name.removesuffix(".parquet"), **(attributes or context.product_attributes())}
+    own = {key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")}
+    if not own.items() <= context.product_attributes().items():
+        context.describe(name, **own)
+    document = {"table": name.removesuffix(".parquet"), **attributes}
     content = pa.Table.from_pandas(table, preserve_index=False)
     content = content.replace_schema_metadata({PRODUCT_KEY: json.dumps(document, sort_keys=True).encode()})
     pq.write_table(content, str(path), compression="zstd")

@@ -61,8 +61,10 @@ def retrieve_burned_area(
     inputs: models.RetrieveBurnedAreaInputs, context: JobContext
 ) -> models.RetrieveBurnedAreaOutputs:
     """Burned probability of every usable look."""
-    from services.retrieval import burned_area, burned_products, products
+    from services.retrieval import burned_area, burned_products
+    from services.retrieval.observation_report import observation_report, screening_attribute
     from services.retrieval.perimeters import read_perimeters
+    from shared.contracts import schema, tables
 
     seen = files.looks_with_ancillary(inputs, context)
     baseline = None if inputs.baseline is None else files.read_plain(inputs.baseline, context)
@@ -71,18 +73,19 @@ def retrieve_burned_area(
     model = burned_area.load_model(MODEL_PATH if inputs.model is None else context.path(inputs.model))
     features = burned_area.feature_table(seen.looks, baseline)
     table = burned_products.burned_area_table(seen.looks, model.probability(features), model)
-    ref = context.write_table("burned_area.parquet", table, "BURNED_AREA")
+    attributes = context.product_attributes() | screening_attribute(seen)
+    schema.write_table(context.new_file("burned_area.parquet"), table, tables.BURNED_AREA, attributes)
     context.progress(80, "maps")
-    refs = _burned_maps(table, model.threshold, perimeters, context)
+    refs = _burned_maps(table, model.threshold, perimeters, attributes, context)
     burned = int(table["burned"].sum())
-    report = products.observation_report(seen) | {
+    report = observation_report(seen) | {
         "threshold": model.threshold,
         "with_baseline": int(features["change_db"].notna().sum()),
         "burned": burned,
         "looks": len(table),
     }
     return models.RetrieveBurnedAreaOutputs(
-        burned_area=ref,
+        burned_area=context.ref("burned_area.parquet"),
         report=context.write_json("report.json", report),
         **refs,
         look_count=len(table),
@@ -91,13 +94,16 @@ def retrieve_burned_area(
 
 
 def _burned_maps(
-    table: geopandas.GeoDataFrame, threshold: float, perimeters: geopandas.GeoDataFrame | None, context: JobContext
+    table: geopandas.GeoDataFrame,
+    threshold: float,
+    perimeters: geopandas.GeoDataFrame | None,
+    attributes: dict[str, Any],
+    context: JobContext,
 ) -> dict[str, ArtifactRef]:
     """The EASE-Grid map (netCDF, COG), the GeoJSON and the picture, by output name."""
     from services.retrieval import burned_products
     from shared.contracts.grids import write_netcdf
 
-    attributes = context.product_attributes()
     grid = burned_products.burned_area_grid(table, threshold)
     names = {"grid": "burned_area.nc", "cog": "burned_area.tif", "geojson": "burned_area.geojson"}
     names["map"] = "burned_area.png"
@@ -114,16 +120,19 @@ def retrieve_soil_moisture(
 ) -> models.RetrieveSoilMoistureOutputs:
     """Daily soil moisture of 9 km cells."""
     from services.retrieval import products, soil_moisture
+    from services.retrieval.observation_report import observation_report, screening_attribute
+    from shared.contracts import schema, tables
     from shared.contracts.grids import write_netcdf
 
     seen = files.read_looks(inputs, context)
     context.progress(60, "regression")
     table, counts = soil_moisture.retrieve(seen.looks, files.read_plain(inputs.reference, context))
-    ref = context.write_table("soil_moisture.parquet", table, "SOIL_MOISTURE")
-    write_netcdf(context.new_file("soil_moisture.nc"), products.level3_grid(table), context.product_attributes())
-    report = products.observation_report(seen) | counts | {"cell_days": len(table)}
+    attributes = context.product_attributes() | screening_attribute(seen)
+    schema.write_table(context.new_file("soil_moisture.parquet"), table, tables.SOIL_MOISTURE, attributes)
+    write_netcdf(context.new_file("soil_moisture.nc"), products.level3_grid(table), attributes)
+    report = observation_report(seen) | counts | {"cell_days": len(table)}
     return models.RetrieveSoilMoistureOutputs(
-        soil_moisture=ref,
+        soil_moisture=context.ref("soil_moisture.parquet"),
         grid=context.ref("soil_moisture.nc"),
         report=context.write_json("report.json", report),
         cell_count=len(table),
@@ -132,7 +141,8 @@ def retrieve_soil_moisture(
 
 def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext) -> models.TrainBurnedAreaOutputs:
     """Train on some places and times, calibrate on others."""
-    from services.retrieval import products, training
+    from services.retrieval import training
+    from services.retrieval.observation_report import observation_report, screening_attribute
 
     seen = files.looks_with_ancillary(inputs, context)
     places = None if inputs.labels is None else training.read_labels(context.path(inputs.labels))
@@ -141,10 +151,10 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
     baseline = None if inputs.baseline is None else files.read_plain(inputs.baseline, context)
     context.progress(50, "training")
     model, report = training.train_on_looks(seen.looks, label, baseline, inputs.calibration_share)
-    model.save(context.new_file("model.ubj"), context.product_attributes())
+    model.save(context.new_file("model.ubj"), context.product_attributes() | screening_attribute(seen))
     return models.TrainBurnedAreaOutputs(
         model=context.ref("model.ubj"),
-        report=context.write_json("report.json", report | products.observation_report(seen)),
+        report=context.write_json("report.json", report | observation_report(seen)),
         look_count=report["looks"],
         auc=report["auc"],
     )
@@ -152,7 +162,8 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
 
 def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> models.TrainSoilMoistureOutputs:
     """Fit the regression of every cell, and keep the pre-fire reflectivities."""
-    from services.retrieval import baseline, products, soil_moisture
+    from services.retrieval import baseline, soil_moisture
+    from services.retrieval.observation_report import observation_report, screening_attribute
 
     seen = files.read_looks(inputs, context)
     context.progress(60, "regression")
@@ -160,16 +171,16 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
     reference = soil_moisture.train_reference(seen.looks, truth)
     slope = float(reference["incidence_slope_db_per_deg"].iloc[0])
     pairs = soil_moisture.match(seen.looks, truth, slope)
-    report = products.observation_report(seen) | {
+    report = observation_report(seen) | {
         "cells": len(reference),
         "cell_days": len(pairs),
         "leave_a_day_out": soil_moisture.skill_report(pairs),
         "median_slope_m3_m3_db": float(reference["slope"].median()),
     }
-    files.write_plain("reference.parquet", reference, context)
-    files.write_plain(
-        "baseline.parquet", baseline.build_baseline(seen.looks), context, files.looks_product(inputs, context)
-    )
+    screened = screening_attribute(seen)
+    files.write_plain("reference.parquet", reference, context, context.product_attributes() | screened)
+    looks_only = files.looks_product(inputs, context) | screened
+    files.write_plain("baseline.parquet", baseline.build_baseline(seen.looks), context, looks_only)
     return models.TrainSoilMoistureOutputs(
         reference=context.ref("reference.parquet"),
         baseline=context.ref("baseline.parquet"),
@@ -192,7 +203,7 @@ def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.
     ddm_product.write_ddm(path, found, recording.header, inputs.prn, *known, attributes)
     return models.ComputeDdmOutputs(
         ddm=context.ref("ddm.nc"),
-        report=context.write_json("report.json", ddm_product.report(found, recording)),
+        report=context.write_json("report.json", ddm_product.report(found, recording, path.stat().st_size)),
         peak_to_mean=found.acquired.peak_to_mean,
     )
 

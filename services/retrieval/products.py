@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
+from rasterio.transform import Affine
 
 from services.retrieval.constants import FILL
 from services.retrieval.ease_grid import centre, centre_metres, ease_grid
-from services.retrieval.features import Observations
+from shared.contracts.cog import write_cog
 
-RAW_IF_VOLUME_RATIO = 1680  # bytes of a raw-IF second over those of a nominal second (CYGNSS)
 EASE_CRS = {
     "grid_mapping_name": "lambert_cylindrical_equal_area",
     "standard_parallel": 30.0,
@@ -26,22 +28,8 @@ EASE_CRS = {
 }
 
 
-def observation_report(observations: Observations) -> dict[str, Any]:
-    """Maps read, used and screened out by reason, by mode; and the data volumes behind them."""
-    looks = observations.looks
-    used = {str(mode): int(count) for mode, count in looks["mode"].value_counts().sort_index().items()}
-    seconds = looks.drop_duplicates(["mode", "satellite", "time"])["mode"].value_counts()
-    return {
-        "screening": observations.screening,
-        "looks_used": used,
-        "nominal_seconds": int(seconds.get("nominal", 0)),
-        "raw_if_seconds": int(seconds.get("raw-if", 0)),
-        "raw_if_volume_in_nominal_seconds": int(seconds.get("raw-if", 0)) * RAW_IF_VOLUME_RATIO,
-    }
-
-
-def level3_grid(table: pd.DataFrame) -> xr.Dataset:
-    """Daily soil moisture on EASE-Grid 2.0 (9 km): ``SM_daily``, ``SIGMA_daily``, ``count`` (time, y, x).
+def level3_grid(table: pd.DataFrame, resolution_km: int = 9) -> xr.Dataset:
+    """Daily soil moisture on EASE-Grid 2.0 (9 or 36 km): ``SM_daily``, ``SIGMA_daily``, ``count`` (time, y, x).
 
     The grid covers the box of the table's cells (one empty cell without any). Modes of a day and cell are joined with
     inverse-variance weights. Named as in the UCAR/CU level-3 product.
@@ -65,17 +53,17 @@ def level3_grid(table: pd.DataFrame) -> xr.Dataset:
         "SM_daily": (np.where(seen, total / safe, FILL), "volumetric soil moisture, m3 m-3"),
         "SIGMA_daily": (np.where(seen, 1.0 / np.sqrt(safe), FILL), "standard deviation of SM_daily, m3 m-3"),
     }
-    return _level3_dataset(values, count, known_days, rows, columns)
+    return _level3_dataset(values, count, known_days, rows, columns, resolution_km)
 
 
 def _span(index: pd.Series) -> NDArray[np.int64]:
     return np.arange(index.min(), index.max() + 1) if len(index) else np.array([0])
 
 
-def _level3_dataset(values, count, days, rows, columns) -> xr.Dataset:
-    x, _ = centre_metres(np.zeros_like(columns), columns, 9)
-    _, y = centre_metres(rows, np.zeros_like(rows), 9)
-    latitude, longitude = centre(*np.meshgrid(rows, columns, indexing="ij"), 9)
+def _level3_dataset(values, count, days, rows, columns, resolution_km: int) -> xr.Dataset:
+    x, _ = centre_metres(np.zeros_like(columns), columns, resolution_km)
+    _, y = centre_metres(rows, np.zeros_like(rows), resolution_km)
+    latitude, longitude = centre(*np.meshgrid(rows, columns, indexing="ij"), resolution_km)
     dims, flat = ("time", "y", "x"), ("y", "x")
     common = {"units": "1", "grid_mapping": "crs"}
     fill = {"_FillValue": np.float32(FILL)}
@@ -92,8 +80,8 @@ def _level3_dataset(values, count, days, rows, columns) -> xr.Dataset:
             "longitude": (flat, longitude, {"standard_name": "longitude", "units": "degrees_east"}),
         },
         attrs={
-            "title": "Soil moisture from GNSS reflectivity, daily, EASE-Grid 2.0 9 km",
-            "grid": ease_grid(9).name,
+            "title": f"Soil moisture from GNSS reflectivity, daily, EASE-Grid 2.0 {resolution_km} km",
+            "grid": ease_grid(resolution_km).name,
             "first_row": int(rows[0]),
             "first_column": int(columns[0]),
             "references": "Chew and Small 2020, doi:10.3390/rs12101558",
@@ -106,3 +94,19 @@ def _level3_dataset(values, count, days, rows, columns) -> xr.Dataset:
     dataset["count"] = (dims, count, {**common, "long_name": "looks in the cell and day"})
     dataset["crs"] = ((), np.int32(6933), EASE_CRS)
     return dataset
+
+
+def write_level3_cog(path: Path, grid: xr.Dataset, attributes: Mapping[str, Any]) -> None:
+    """The grid of ``level3_grid`` as a COG in EPSG:6933: bands ``SM_daily``, ``SIGMA_daily`` and ``count`` of each day,
+    the day after the name (``SM_daily 2024-03-01``), float32, -9999 where there is none.
+    """
+    cell_m = ease_grid(9 if grid.attrs["grid"] == ease_grid(9).name else 36).cell_m
+    west = float(grid["x"].to_numpy()[0]) - cell_m / 2.0
+    north = float(grid["y"].to_numpy()[0]) + cell_m / 2.0
+    bands = {
+        f"{name} {np.datetime_as_string(day, unit='D')}": grid[name].to_numpy()[index].astype(np.float32)
+        for index, day in enumerate(grid["time"].to_numpy())
+        for name in ("SM_daily", "SIGMA_daily", "count")
+    }
+    transform = Affine(cell_m, 0.0, west, 0.0, -cell_m, north)
+    write_cog(path, bands, transform=transform, crs="EPSG:6933", nodata=FILL, attributes=attributes)

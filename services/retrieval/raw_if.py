@@ -55,18 +55,19 @@ class Recording:
         first, last = start // 4, -(-(start + count) // 4)
         return _BYTE_SAMPLES[self.data[first:last, channel]].reshape(-1)[start - 4 * first :][:count]
 
-    def lost_bytes(self) -> NDArray[np.bool_]:
-        """True for each row of bytes that lies in a lost packet: a run of 2048 or more zeros in the interleaved
-        stream.
+    def lost_bytes(self, rows: int | None = None) -> NDArray[np.bool_]:
+        """True for each of the first ``rows`` rows of bytes (all) that lies in a lost packet: a run of 2048 or more
+        zeros in the interleaved stream. A run that goes on beyond is seen: a packet more is read.
         """
-        flat = self.data.reshape(-1)
+        count = len(self.data) if rows is None else min(rows, len(self.data))
+        flat = self.data[: count + LOST_PACKET_BYTES].reshape(-1)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (flat == 0).view(np.int8), [0]])))
         starts, ends = edges[::2], edges[1::2]
         lost = np.zeros(flat.size, dtype=bool)
         for start, end in zip(starts, ends, strict=True):
             if end - start >= LOST_PACKET_BYTES:
                 lost[start:end] = True
-        return lost.reshape(self.data.shape).any(axis=1)
+        return lost.reshape(-1, self.header.channels).any(axis=1)[:count]
 
 
 def read_recording(path: str | Path) -> Recording:

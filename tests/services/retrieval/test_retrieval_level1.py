@@ -120,7 +120,7 @@ def _screened(nominal: Path, **change: object) -> tuple[np.ndarray, dict[str, in
     ("reason", "change"),
     [
         ("s_band_powered_up", {"quality_flags": 7169 | 1 << 1}),
-        ("sp_non_existent", {"quality_flags": 7169 | 1 << 22}),
+        ("sp_non_existent_error", {"quality_flags": 7169 | 1 << 22}),
         ("land_poor_overall_quality", {"quality_flags_2": 2048}),
         ("incidence_too_high", {"sp_inc_angle": 70.0}),
         ("rx_gain_too_low", {"sp_rx_gain": -1.0}),
