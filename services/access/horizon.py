@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from shared.errors import DomainError
 
+FIRST_YEAR, LAST_YEAR = 1957, 2200
+
 
 @dataclass(frozen=True)
 class Horizon:
@@ -21,6 +23,13 @@ class Horizon:
     step_s: int = 1
 
     def __post_init__(self) -> None:
+        if not FIRST_YEAR <= self.start.year <= LAST_YEAR:
+            raise DomainError(
+                f"start {self.start.isoformat()} is no time of satellites.",
+                field="start",
+                value=self.start.isoformat(),
+                accepted=f"years {FIRST_YEAR} to {LAST_YEAR}",
+            )
         if self.start.tzinfo is None or self.start.microsecond:
             raise DomainError(
                 f"start {self.start.isoformat()} is not a whole second with a time zone.",

@@ -109,6 +109,12 @@ def _targets(inputs: PredictAccessInputs, context: JobContext) -> tuple[NDArray[
         return np.zeros(0, dtype=np.int64), None
     targets = context.read_table(inputs.targets, "TARGETS")
     geometry: Any = targets.geometry
+    other = np.flatnonzero(geometry.geom_type != "Point")
+    if len(other):
+        kind = geometry.geom_type.iloc[other[0]]
+        raise DomainError(
+            f"targets: row {other[0]} is a {kind}, not a point.", field="targets", value=kind, accepted="points"
+        )
     return targets["target_id"].to_numpy(np.int64), (geometry.y.to_numpy(), geometry.x.to_numpy())
 
 
@@ -119,16 +125,19 @@ def _grid(inputs: PredictAccessInputs, context: JobContext) -> CellGrid | None:
         return even_grid(inputs.grid.spacing_deg, inputs.grid.area, inputs.grid.land_only)
     if inputs.grid_cells is None:
         return None
+    from pandas.api.types import is_bool_dtype, is_numeric_dtype
+
     table = _frame(context, inputs.grid_cells, "grid_cells")
     for name in ("latitude_deg", "longitude_deg"):
-        if name not in table.columns or not np.issubdtype(table[name].dtype, np.number):
+        if name not in table.columns or not is_numeric_dtype(table[name]) or is_bool_dtype(table[name]):
             raise DomainError(
                 f"grid_cells: the table has no numbers in column {name}.",
                 field="grid_cells",
                 value=", ".join(map(str, table.columns)),
                 accepted="latitude_deg and longitude_deg of each cell's centre",
             )
-    return cells_at(table["latitude_deg"].to_numpy(), table["longitude_deg"].to_numpy())
+    degrees = {name: table[name].to_numpy(np.float64, na_value=np.nan) for name in ("latitude_deg", "longitude_deg")}
+    return cells_at(**degrees)
 
 
 def _frame(context: JobContext, reference: ArtifactRef, field: str) -> Any:

@@ -93,8 +93,21 @@ def even_grid(spacing_deg: float, area: Area | None = None, land_only: bool = Fa
 
 
 def cells_at(latitude_deg: Sequence[float] | Array, longitude_deg: Sequence[float] | Array) -> CellGrid:
-    """Cells given by their centres only: points as far as footprints go."""
-    return CellGrid(np.asarray(latitude_deg, dtype=np.float64), np.asarray(longitude_deg, dtype=np.float64), None)
+    """Cells given by their centres only: points as far as footprints go; longitudes 0 to 360 as -180 to 180.
+
+    DomainError naming the row of one that lies nowhere, or for more than four million.
+    """
+    latitude, longitude = np.asarray(latitude_deg, dtype=np.float64), np.asarray(longitude_deg, dtype=np.float64)
+    bad = np.flatnonzero(~((np.abs(latitude) <= 90.0) & (longitude >= -180.0) & (longitude <= 360.0)))
+    if len(bad) or not 0 < len(latitude) <= MOST_CELLS:
+        what = f"row {bad[0]} is at latitude {latitude[bad[0]]}, longitude {longitude[bad[0]]}" if len(bad) else ""
+        raise DomainError(
+            f"grid_cells: {what or f'the table has {len(latitude)} rows'}.",
+            field="grid_cells",
+            value=int(bad[0]) if len(bad) else len(latitude),
+            accepted=f"1 to {MOST_CELLS} cells at latitudes -90..90 and longitudes -180..360",
+        )
+    return CellGrid(latitude, np.where(longitude > 180.0, longitude - 360.0, longitude), None)
 
 
 def _on_land(latitude: Array, longitude: Array) -> NDArray[np.bool_]:

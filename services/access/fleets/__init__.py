@@ -35,7 +35,8 @@ class Fleet:
     def pick(self, orbits: Sequence[Orbit], field: str = "receivers") -> tuple[list[Orbit], dict[str, str]]:
         """The fleet's own among ``orbits``, under its names, and those of it that are not there: name -> reason.
 
-        A satellite is known by its catalogue number, else by its name. DomainError where none is there.
+        A satellite is known by its catalogue number, or by its name where the list or the orbit has no number.
+        DomainError where none is there.
         """
         by_number = {orbit.catalogue_number: orbit for orbit in orbits if orbit.catalogue_number is not None}
         by_name: dict[str, list[Orbit]] = {}
@@ -45,9 +46,10 @@ class Fleet:
         missing: dict[str, str] = {}
         for name, number in self.satellites:
             orbit = by_number.get(number) if number is not None else None
-            if orbit is None and name in by_name:
-                refuse_duplicates(by_name[name], field, "name", lambda each: each.name)
-                orbit = by_name[name][0]
+            named = [each for each in by_name.get(name, []) if number is None or each.catalogue_number is None]
+            if orbit is None and named:
+                refuse_duplicates(named, field, "name", lambda each: each.name)
+                orbit = named[0]
             if orbit is None:
                 missing[name] = f"it is on the list of {self.name}, but {field} hold no orbit of it"
             else:

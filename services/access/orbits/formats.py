@@ -9,7 +9,7 @@ from dataclasses import replace
 from services.access.orbits.elements import ElementSet, refuse_duplicates
 from services.access.orbits.oem import read_oem_kvn, read_oem_xml
 from services.access.orbits.omm import read_omm_json, read_omm_kvn, read_omm_xml
-from services.access.orbits.sp3 import read_sp3
+from services.access.orbits.sp3 import join_files, read_sp3
 from services.access.orbits.tabulated import TabulatedOrbit
 from services.access.orbits.tle import read_tle
 from shared.errors import DomainError
@@ -33,6 +33,7 @@ def read_orbits(text: str, field: str = "orbits") -> list[Orbit]:
 def read_files(files: Sequence[tuple[str, str]], field: str = "orbits") -> list[Orbit]:
     """The orbits of several files ``(name, text)``, which may be of different formats; places then name the file.
 
+    SP3 files that follow each other make one orbit a satellite (first in the list); OEM files do not.
     One catalogue number stands for one satellite; that names are not shared is asked for of those that are used.
     """
     found: list[Orbit] = []
@@ -43,9 +44,20 @@ def read_files(files: Sequence[tuple[str, str]], field: str = "orbits") -> list[
             raise DomainError(
                 f"{label}: the file holds no element sets and no ephemeris.", field=field, accepted=ACCEPTED
             )
-        found += [replace(orbit, where=f"{orbit.where} of {name}") for orbit in orbits] if len(files) > 1 else orbits
+        found += [_of_file(orbit, name) for orbit in orbits] if len(files) > 1 else orbits
+    tables = join_files(orbit for orbit in found if isinstance(orbit, TabulatedOrbit) and orbit.source == "sp3")
+    found = [*tables, *(orbit for orbit in found if orbit.source != "sp3")]
     refuse_duplicates(found, field, "satellite", lambda orbit: orbit.catalogue_number)
     return found
+
+
+def _of_file(orbit: Orbit, name: str) -> Orbit:
+    """The orbit with its file's name in every place."""
+    where = f"{orbit.where} of {name}"
+    if isinstance(orbit, ElementSet):
+        return replace(orbit, where=where)
+    segments = tuple(replace(segment, where=f"{segment.where} of {name}") for segment in orbit.segments)
+    return replace(orbit, where=where, segments=segments)
 
 
 def _reader(text: str) -> Reader:

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.access.horizon import FIRST_YEAR, LAST_YEAR
 from shared.errors import DomainError
 
 _UNIT = re.compile(r"\s*\[[^\]]*\]\s*$")
+_EARLIEST, _LATEST = (np.datetime64(f"{year}-01-01", "us") for year in (FIRST_YEAR, LAST_YEAR + 1))
 _DAY_OF_YEAR = re.compile(r"^(\d{4})-(\d{3})(T.*)?$")
 
 
@@ -125,7 +127,10 @@ def epochs(texts: Sequence[str], lines: Sequence[int], name: str) -> NDArray[np.
     DomainError naming the line of the first that is no epoch.
     """
     try:
-        return np.array([text.removesuffix("Z") for text in texts], dtype="datetime64[us]")
+        times = np.array([text.removesuffix("Z") for text in texts], dtype="datetime64[us]")
+        # numpy reads words, too: NaT, now
+        if all(text[:1].isdigit() for text in texts) and np.all((times >= _EARLIEST) & (times < _LATEST)):
+            return times
     except ValueError:
         pass
     found = []
@@ -150,4 +155,7 @@ def _as_datetime64(text: str) -> np.datetime64:
         plain = f"{day:%Y-%m-%d}{counted[3] or ''}"
     if not re.match(r"^\d{4}-\d{2}-\d{2}", plain):
         raise ValueError(f"'{text}' is not an epoch")
-    return np.datetime64(plain, "us")
+    time = np.datetime64(plain, "us")
+    if not _EARLIEST <= time < _LATEST:
+        raise ValueError(f"'{text}' is no time of satellites")
+    return time

@@ -15,6 +15,7 @@ from services.access.orbits.ndm import Keywords, keyword_line, utc_datetime, xml
 from shared.errors import DomainError
 
 NUMBERS = ("MEAN_MOTION", "ECCENTRICITY", "INCLINATION", "RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "MEAN_ANOMALY", "BSTAR")
+MOST_CATALOGUE_NUMBER = 999_999_999
 # SGP4 takes no notice of these; catalogues without them are whole.
 DEFAULTS = {
     "EPHEMERIS_TYPE": "0",
@@ -46,6 +47,8 @@ def read_omm_json(text: str, field: str) -> list[ElementSet]:
         raise DomainError(
             f"{field}: line {error.lineno}: malformed JSON ({error.msg}).", field=field, accepted="an OMM JSON list"
         ) from error
+    except RecursionError as error:
+        raise DomainError(f"{field}: JSON nested too deeply.", field=field, accepted="an OMM JSON list") from error
     found = []
     for number, row in enumerate(document if isinstance(document, list) else [document]):
         if not isinstance(row, dict):
@@ -99,13 +102,16 @@ def _element(values: Mapping[str, str], lines: Mapping[str, int], where: str, fi
         fields[key] = repr(_read(fields, key, _finite, fault))
     for key in ("NORAD_CAT_ID", "EPHEMERIS_TYPE", "ELEMENT_SET_NO", "REV_AT_EPOCH"):
         fields[key] = str(_read(fields, key, int, fault))
+    number = int(fields["NORAD_CAT_ID"])
+    if not 0 <= number <= MOST_CATALOGUE_NUMBER:
+        raise fault("NORAD_CAT_ID", f"catalogue number {number} has not up to nine digits", "0 to 999999999")
     record = Satrec()
     try:
-        omm.initialize(record, {**fields, "EPOCH": f"{epoch:%Y-%m-%dT%H:%M:%S.%f}"})
+        # the record's own number, five characters at most as in a TLE, plays no part in SGP4
+        omm.initialize(record, {**fields, "NORAD_CAT_ID": "0", "EPOCH": f"{epoch:%Y-%m-%dT%H:%M:%S.%f}"})
     except (ValueError, TypeError, OverflowError) as error:
         raise fault("EPOCH", f"unreadable OMM ({error})", "numbers and ISO epochs") from error
     refuse_impossible(record, where, field)
-    number = int(fields["NORAD_CAT_ID"])
     name = fields.get("OBJECT_NAME", "").strip() or str(number)
     return ElementSet(name, number, epoch, record, where, "omm", _decay(fields))
 

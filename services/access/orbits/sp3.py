@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.access.horizon import FIRST_YEAR, LAST_YEAR
 from services.access.orbits.tabulated import (
+    SLACK_S,
     Segment,
     TabulatedOrbit,
     as_datetime,
@@ -19,8 +23,10 @@ from services.access.orbits.tabulated import (
 from services.access.orbits.time_scales import SCALES, to_utc
 from shared.errors import DomainError
 
+GAP_STEPS = 1.5  # states further apart than that many steps have a gap between them
 FEWEST_STATES = 10  # what a spline of degree 9 needs; fewer are no orbit on a step of 15 minutes
 PREDICTED_COLUMN = 79
+_CODE = re.compile(r"[A-Z ][A-Z0-9 ][A-Z0-9]$")  # G07, L12; " 7" is GPS in version a
 # What the International GNSS Service states for its rapid and final orbits of GPS (2.5 cm); other centres agree with
 # them to about 0.1 m, so the table's own error is put there for every file.
 POSITION_ERROR_KM = 1e-4
@@ -66,6 +72,57 @@ def read_sp3(text: str, name: str) -> list[TabulatedOrbit]:
     return [_orbit(code, table, times, step_s, name) for code, table in sorted(tables.items())]
 
 
+def join_files(orbits: Iterable[TabulatedOrbit]) -> list[TabulatedOrbit]:
+    """Orbits from several files, daily ones say: those of one name that follow each other as one orbit.
+
+    Runs of positions go on over the join where no more than a step lies between; a state at the same time in both
+    counts once. Orbits that overlap by more stay apart, to be refused as given twice.
+    """
+    by_name: dict[str, list[TabulatedOrbit]] = {}
+    for orbit in orbits:
+        by_name.setdefault(orbit.name, []).append(orbit)
+    return [joined for same in by_name.values() for joined in _joined(same)]
+
+
+def _joined(same: list[TabulatedOrbit]) -> list[TabulatedOrbit]:
+    parts = sorted((orbit for orbit in same if orbit.segments), key=lambda orbit: orbit.first)
+    slack = timedelta(seconds=SLACK_S)
+    if not parts or any(after.first < before.last - slack for before, after in itertools.pairwise(parts)):
+        return same
+    reference = parts[0].reference
+    segments: list[Segment] = []
+    for orbit in parts:
+        shift_s = (orbit.reference - reference) / timedelta(seconds=1)
+        for segment in orbit.segments:
+            moved = replace(
+                segment,
+                times_s=segment.times_s + shift_s,
+                first_s=segment.first_s + shift_s,
+                last_s=segment.last_s + shift_s,
+            )
+            segments[-1:] = _one_run(segments[-1], moved) if segments else [moved]
+    known = max((orbit.epoch for orbit in parts if orbit.epoch is not None), default=None)
+    where = " and ".join(orbit.where for orbit in parts)
+    return [replace(parts[0], epoch=known, segments=tuple(segments), where=where)]
+
+
+def _one_run(before: Segment, after: Segment) -> list[Segment]:
+    """Two runs as one where no more than a step lies between; else the two."""
+    step_s = float(np.median(np.diff(before.times_s)))
+    if after.first_s - before.last_s > GAP_STEPS * step_s:
+        return [before, after]
+    new = after.times_s > before.last_s + SLACK_S
+    return [
+        Segment(
+            np.concatenate([before.times_s, after.times_s[new]]),
+            np.concatenate([before.position_m, after.position_m[new]]),
+            before.first_s,
+            after.last_s,
+            f"{before.where} and {after.where}",
+        )
+    ]
+
+
 def _scale(text: str, number: int, name: str) -> str:
     if text not in SCALES:
         raise DomainError(
@@ -82,13 +139,17 @@ def _epoch(line: str, number: int, name: str) -> str:
         year, month, day, hour, minute = (int(part) for part in line[1:].split()[:5])
         seconds = float(line[1:].split()[5])
         moment = datetime(year, month, day, hour, minute) + timedelta(seconds=seconds)
-    except (ValueError, IndexError) as error:
+        if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+            raise ValueError("no time of satellites")
+    except (ValueError, IndexError, OverflowError) as error:
         raise _fault(name, number, "not an epoch", line) from error
     return moment.isoformat()
 
 
 def _record(tables: dict[str, _Table], line: str, number: int, epoch: int, name: str) -> None:
-    code = line[1:4].replace(" ", "0") if line[1] != " " else f"G{int(line[2:4] or 0):02d}"
+    if not _CODE.match(line[1:4]):
+        raise _fault(name, number, f"'{line[1:4]}' is not a satellite's code", line)
+    code = line[1:4].replace(" ", "0") if line[1] != " " else "G" + line[2:4].replace(" ", "0")
     try:
         position = [float(line[column : column + 14]) * 1000.0 for column in (4, 18, 32)]
     except ValueError as error:
@@ -123,7 +184,7 @@ def _orbit(code: str, table: _Table, times: NDArray[np.datetime64], step_s: floa
     refuse_impossible_radius(position, line.tolist(), name)
     reference = own[0]
     t_s = seconds_since(reference, own[kept])
-    breaks = np.flatnonzero(np.diff(t_s) > 1.5 * step_s) + 1
+    breaks = np.flatnonzero(np.diff(t_s) > GAP_STEPS * step_s) + 1
     runs = [rows for rows in np.split(np.arange(len(t_s)), breaks) if len(rows) >= FEWEST_STATES]
     segments = [
         Segment(

@@ -99,7 +99,7 @@ def antenna_system(document: Any) -> AntennaSystem:
             float(document["floor_dbi"]),
             tuple(_antenna(row, rows) for row in document["antennas"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DomainError(
             f"antenna: the document does not describe an antenna system ({error!r}).",
             field="antenna",

@@ -48,6 +48,9 @@ def read_rolls(table: pd.DataFrame, satellites: Collection[str], start: datetime
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         raise _fault(f"row {row}: time {table['time'].iloc[row]}, roll_deg {table['roll_deg'].iloc[row]}", row)
+    unnamed = [row for row, satellite in enumerate(table["satellite"]) if not isinstance(satellite, str)]
+    if unnamed:
+        raise _fault(f"row {unnamed[0]}: {table['satellite'].iloc[unnamed[0]]} is no satellite's name", unnamed[0])
     rolls: dict[str, Roll] = {}
     for satellite, rows in table.reset_index(drop=True).groupby("satellite", sort=True).groups.items():
         index = np.asarray(rows)
