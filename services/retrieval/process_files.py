@@ -57,6 +57,27 @@ def looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[st
     return attributes | {"simulated": share > 0.0, "simulated_share": share}
 
 
+def read_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> pd.DataFrame:
+    """The soil moisture to learn from, on the cells of the regression: tables or SMAP level-3 files, one or several."""
+    import pandas as pd
+
+    from services.retrieval.ancillary.smap import read_smap
+    from services.retrieval.soil_moisture.regression import on_grid
+
+    given = inputs.soil_moisture if isinstance(inputs.soil_moisture, list) else [inputs.soil_moisture]
+    source_km = inputs.soil_moisture_km or inputs.resolution_km
+    tables = [read_smap(context.path(ref), ref.name, resolution_km=source_km) for ref in given]
+    table = pd.concat(tables, ignore_index=True)
+    if source_km < inputs.resolution_km:
+        return on_grid(table, inputs.resolution_km)
+    if source_km > inputs.resolution_km:  # each fine cell takes the value of the coarse one around it
+        part = pd.DataFrame({"down": range(16)})
+        fine = table.merge(part, how="cross")
+        row, column = 4 * fine["row"] + fine["down"] // 4, 4 * fine["column"] + fine["down"] % 4
+        return fine.assign(row=row, column=column).drop(columns="down")
+    return table
+
+
 def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any]) -> None:
     """Parquet of a table that is no contract between services, with its product attributes in the file's metadata.
 

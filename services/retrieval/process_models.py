@@ -85,14 +85,18 @@ class RetrieveSoilMoistureInputs(ObservedInputs):
     """What was seen, and what each cell's reflectivity means there."""
 
     reference: ArtifactRef = Field(
-        description="Parquet per EASE-Grid 9 km cell: row, column, soil_moisture_mean (m3/m3), reflectivity_mean_db, "
-        "slope (m3/m3 per dB), sd (m3/m3), from train-soil-moisture"
+        description="Parquet per EASE-Grid cell, 9 km or that of its column resolution_km: row, column, "
+        "soil_moisture_mean (m3/m3), reflectivity_mean_db, slope (m3/m3 per dB), sd (m3/m3), from train-soil-moisture"
+    )
+    raw_if_model: ArtifactRef | None = Field(
+        None, description="quantile model of raw-IF looks from train-soil-moisture; null: by the regression"
     )
 
 
 class RetrieveSoilMoistureOutputs(ProcessOutputs):
     soil_moisture: ArtifactRef
-    grid: ArtifactRef
+    grid: ArtifactRef = Field(description="level-3 netCDF on EASE-Grid 2.0: SM_daily, SIGMA_daily, count")
+    cog: ArtifactRef = Field(description="the same as Cloud-Optimised GeoTIFF, EPSG:6933")
     report: ArtifactRef
     cell_count: int
 
@@ -136,13 +140,25 @@ class TrainBurnedAreaOutputs(ProcessOutputs):
 class TrainSoilMoistureInputs(ObservedInputs):
     """Looks of the weeks before, with soil moisture of another sensor for the same days."""
 
-    soil_moisture: ArtifactRef = Field(
-        description="SMAP-like Parquet on EASE-Grid 9 km: time, row, column, soil_moisture (m3/m3)"
+    soil_moisture: ArtifactRef | list[ArtifactRef] = Field(
+        description="SMAP: Parquet on EASE-Grid cells (time, row, column, soil_moisture in m3/m3), or level-3 files "
+        "(HDF5: SPL3SMP_E on 9 km, SPL3SMP on 36 km)"
+    )
+    resolution_km: Literal[9, 36] = Field(9, description="EASE-Grid 2.0 of the regression")
+    soil_moisture_km: Literal[9, 36] | None = Field(
+        None, description="EASE-Grid 2.0 of the soil moisture given; null: that of the regression"
+    )
+    raw_if_method: Literal["cqr", "ngboost", "none"] = Field(
+        "cqr",
+        description="model of raw-IF looks, where there are enough: quantiles by XGBoost made conformal by site, or "
+        "NGBoost likewise",
     )
 
 
 class TrainSoilMoistureOutputs(ProcessOutputs):
-    reference: ArtifactRef = Field(description="per 9 km cell: what retrieve-soil-moisture needs")
+    reference: ArtifactRef = Field(description="per cell: what retrieve-soil-moisture needs")
+    raw_if_model: ArtifactRef | None = Field(None, description="null with too few raw-IF looks")
+    figure: ArtifactRef = Field(description="held-out estimates against soil moisture, and both over time (PNG)")
     baseline: ArtifactRef = Field(description="pre-fire reflectivity per cell: what retrieve-burned-area compares with")
     report: ArtifactRef
     cell_count: int

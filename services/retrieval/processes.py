@@ -118,23 +118,31 @@ def _burned_maps(
 def retrieve_soil_moisture(
     inputs: models.RetrieveSoilMoistureInputs, context: JobContext
 ) -> models.RetrieveSoilMoistureOutputs:
-    """Daily soil moisture of 9 km cells."""
-    from services.retrieval import products, soil_moisture
+    """Daily soil moisture of the reference's cells."""
+    from services.retrieval import products
     from services.retrieval.observation_report import observation_report, screening_attribute
+    from services.retrieval.soil_moisture import quantiles, regression
     from shared.contracts import schema, tables
     from shared.contracts.grids import write_netcdf
 
     seen = files.read_looks(inputs, context)
     context.progress(60, "regression")
-    table, counts = soil_moisture.retrieve(seen.looks, files.read_plain(inputs.reference, context))
+    reference = files.read_plain(inputs.reference, context)
+    model = None if inputs.raw_if_model is None else quantiles.load_raw_if(context.path(inputs.raw_if_model))
+    table, counts = regression.retrieve(seen.looks, reference, None if model is None else model.interval)
+    resolution_km = regression.grid_of(reference)
+    grid = products.level3_grid(table, resolution_km)
     attributes = context.product_attributes() | screening_attribute(seen)
     schema.write_table(context.new_file("soil_moisture.parquet"), table, tables.SOIL_MOISTURE, attributes)
-    write_netcdf(context.new_file("soil_moisture.nc"), products.level3_grid(table), attributes)
-    report = observation_report(seen) | counts | {"cell_days": len(table)}
+    write_netcdf(context.new_file("soil_moisture.nc"), grid, attributes)
+    products.write_level3_cog(context.new_file("soil_moisture.tif"), grid, attributes)
+    raw_if = "regression" if model is None else model.method
+    settings = {"cell_days": len(table), "resolution_km": resolution_km, "raw_if_by": raw_if}
     return models.RetrieveSoilMoistureOutputs(
         soil_moisture=context.ref("soil_moisture.parquet"),
         grid=context.ref("soil_moisture.nc"),
-        report=context.write_json("report.json", report),
+        cog=context.ref("soil_moisture.tif"),
+        report=context.write_json("report.json", observation_report(seen) | counts | settings),
         cell_count=len(table),
     )
 
@@ -161,29 +169,35 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
 
 
 def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> models.TrainSoilMoistureOutputs:
-    """Fit the regression of every cell, and keep the pre-fire reflectivities."""
-    from services.retrieval import baseline, soil_moisture
+    """Fit the regression of every cell and the raw-IF model, and keep the pre-fire reflectivities."""
+    from services.retrieval import baseline
     from services.retrieval.observation_report import observation_report, screening_attribute
+    from services.retrieval.soil_moisture import figure, raw_if_training, regression, skill
 
     seen = files.read_looks(inputs, context)
+    truth, resolution_km = files.read_soil_moisture(inputs, context), inputs.resolution_km
     context.progress(60, "regression")
-    truth = files.read_plain(inputs.soil_moisture, context)
-    reference = soil_moisture.train_reference(seen.looks, truth)
+    reference = skill.train_reference(seen.looks, truth, resolution_km)
     slope = float(reference["incidence_slope_db_per_deg"].iloc[0])
-    pairs = soil_moisture.match(seen.looks, truth, slope)
-    report = observation_report(seen) | {
-        "cells": len(reference),
-        "cell_days": len(pairs),
-        "leave_a_day_out": soil_moisture.skill_report(pairs),
-        "median_slope_m3_m3_db": float(reference["slope"].median()),
-    }
+    pairs = regression.match(regression.on_grid(seen.looks, resolution_km), truth, slope)
+    context.progress(70, "raw-IF model")
+    raw_if = raw_if_training.train(seen.looks, reference, truth, inputs.raw_if_method, resolution_km)
+    context.progress(80, "skill")
+    report = observation_report(seen) | skill.summary(reference, pairs) | {"raw_if": raw_if[1]}
+    report |= skill.evaluate(pairs, resolution_km)
     screened = screening_attribute(seen)
     files.write_plain("reference.parquet", reference, context, context.product_attributes() | screened)
     looks_only = files.looks_product(inputs, context) | screened
     files.write_plain("baseline.parquet", baseline.build_baseline(seen.looks), context, looks_only)
+    held = skill.with_intervals(skill.leave_days_out(pairs, resolution_km))
+    figure.skill_figure(context.new_file("skill.png"), held, context.product_attributes())
+    if raw_if[0] is not None:
+        raw_if[0].save(context.new_file("raw_if_model"), context.product_attributes())
     return models.TrainSoilMoistureOutputs(
         reference=context.ref("reference.parquet"),
         baseline=context.ref("baseline.parquet"),
+        raw_if_model=None if raw_if[0] is None else context.ref("raw_if_model"),
+        figure=context.ref("skill.png"),
         report=context.write_json("report.json", report),
         cell_count=len(reference),
     )
@@ -219,7 +233,7 @@ def _process(run: Any, identifier: str, title: str, description: str, model_vers
 WARM_MODULES = (
     "services.retrieval.burned_area",
     "services.retrieval.products",
-    "services.retrieval.soil_moisture",
+    "services.retrieval.soil_moisture.regression",
     "services.retrieval.simulation.observations",
     "shared.contracts.tables",
 )

@@ -28,7 +28,7 @@ from services.retrieval.processes import MODEL_PATH
 from services.retrieval.shipped_model import world_examples
 from services.retrieval.simulation.observations import simulate_nominal
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
-from services.retrieval.soil_moisture import skill_report
+from services.retrieval.soil_moisture.skill import skill_report
 from services.retrieval.texture import quantise, texture
 from tests.services.retrieval.texas import texas_pairs
 

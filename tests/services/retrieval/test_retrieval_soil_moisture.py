@@ -8,17 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from services.retrieval.soil_moisture import (
-    LIMITS,
-    check_reference,
-    fit_cells,
-    leave_days_out,
-    match,
-    retrieve,
-    skill,
-    skill_report,
-    train_reference,
-)
+from services.retrieval.soil_moisture.regression import LIMITS, check_reference, fit_cells, match, retrieve
+from services.retrieval.soil_moisture.skill import leave_days_out, skill, skill_report, train_reference
 from shared.errors import DomainError
 from tests.services.retrieval.texas import texas_pairs
 
