@@ -86,7 +86,7 @@ def front_of_map(arrival: xr.Dataset, time: pd.Timestamp, horizon_h: float) -> F
     """
     seconds = arrival["fire_arrival_time"].to_numpy().astype(np.float64)
     sd_h = np.nan_to_num(arrival["fire_arrival_time_sd"].to_numpy().astype(np.float64)) / 3600
-    probability = np.nan_to_num(arrival["burned_probability"].to_numpy().astype(np.float64))
+    probability = _probabilities(arrival, "burned_probability")
     x_m, y_m = (arrival[axis].to_numpy().astype(np.float64) for axis in ("x", "y"))
     cell_m = float(np.abs(np.diff(x_m)).mean()) if len(x_m) > 1 else 500.0
     origin = reference_time(arrival)
@@ -123,17 +123,22 @@ def front_forecast(arrival: xr.Dataset, origin: pd.Timestamp, time: pd.Timestamp
     end = pd.to_datetime(str(arrival.attrs.get("end", "")), utc=True, errors="coerce")
     if not pd.isna(end) and (time - end) > pd.Timedelta(hours=FORECAST_AGE_H):
         return None
-    values = arrival["front24_probability"].transpose("y", "x").to_numpy().astype(np.float64)
-    if np.nanmin(values, initial=0.0) < -1e-6 or np.nanmax(values, initial=0.0) > 1 + 1e-6:
-        worst = float(max(np.nanmax(values), -np.nanmin(values)))
+    values = _probabilities(arrival, "front24_probability")
+    return 1 - (1 - values) ** (horizon_h / 24)
+
+
+def _probabilities(arrival: xr.Dataset, name: str) -> Array:
+    """A layer of probabilities (y, x), 0 where unknown; DomainError if its values are none (per cent, say)."""
+    values = arrival[name].transpose("y", "x").to_numpy().astype(np.float64)
+    least, largest = (float(f(values, initial=0.0)) for f in (np.nanmin, np.nanmax))
+    if least < -1e-6 or largest > 1 + 1e-6:
         raise DomainError(
-            "The arrival map's front24_probability holds more than probabilities.",
-            field="front24_probability",
-            value=worst,
+            f"The arrival map's {name} holds more than probabilities.",
+            field=name,
+            value=max(largest, -least),
             accepted="0..1",
         )
-    within_a_day = np.clip(np.nan_to_num(values), 0, 1)
-    return 1 - (1 - within_a_day) ** (horizon_h / 24)
+    return np.clip(np.nan_to_num(values), 0, 1)
 
 
 def ahead_of_forecast(probability: Array) -> Array:

@@ -46,7 +46,8 @@ def previous_ratings(
     latest = latest_ratings(ratings, time)
     tables = [ratings] if given is None else [ratings, given]
     earlier = pd.concat(tables, ignore_index=True) if len(tables) > 1 else ratings
-    current = earlier["incident_id"].astype(str).map({name: row["time"] for name, row in latest.items()})
+    times = pd.Series({name: row["time"] for name, row in latest.items()}, dtype=ratings["time"].dtype)
+    current = earlier["incident_id"].astype(str).map(times)
     # A fire that the latest ratings have left out was last rated by any row there is.
     older = earlier[current.isna() | (earlier["time"] < current)]
     return latest_ratings(older, time)

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from services.prioritization import plain_columns
 from shared.errors import DomainError
 
 Array = npt.NDArray[np.float64]
@@ -20,14 +21,16 @@ def check_observed(table: pd.DataFrame) -> pd.DataFrame:
             raise DomainError(
                 f"The table of observations lacks '{name}'.", field="observed", value=name, accepted=", ".join(COLUMNS)
             )
-    places = table[["longitude_deg", "latitude_deg"]].to_numpy(dtype=np.float64)
+    longitude, latitude = (plain_columns.numbers(table, name, "observed") for name in COLUMNS[:2])
+    places = np.stack([longitude, latitude], axis=1)
     bad = ~np.isfinite(places).all(axis=1) | (np.abs(places[:, 0]) > 180) | (np.abs(places[:, 1]) > 90)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         raise DomainError(
             f"Row {row} of the observations has no valid place.", field="observed", value=str(places[row])
         )
-    return table.assign(time=pd.to_datetime(table["time"], utc=True))
+    time = plain_columns.times(table, "time", "observed")
+    return table.assign(longitude_deg=longitude, latitude_deg=latitude, time=time)
 
 
 def _unit_vectors(longitude_deg: Array, latitude_deg: Array) -> Array:

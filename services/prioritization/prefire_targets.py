@@ -11,6 +11,7 @@ import xarray as xr
 
 from services.prioritization import observation_age, reward
 from services.prioritization.lattice import KM_PER_DEGREE, Lattice
+from shared.errors import DomainError
 
 Array = npt.NDArray[np.float64]
 
@@ -33,7 +34,7 @@ def prefire_targets(
     The reward rests on the ``_x`` layers, the worst of the lead days within ``horizon_h``; low and high are the
     smallest and largest over those days, with and without the satellites, and over the grid cells of the place.
     """
-    cells = _cells(danger, area, horizon_h)
+    cells = _cells(danger, area, lead_days(danger, time, horizon_h))
     frame = _places(cells, lattice, area)
     clear = ~_near_fire(frame, active, keep_out_km)
     in_fire = int((~clear).sum())
@@ -76,10 +77,30 @@ def _priced(frame: pd.DataFrame, observed: pd.DataFrame | None, time: pd.Timesta
     return frame[frame["priority"] >= SMALLEST_PRIORITY].sort_values("target_id").reset_index(drop=True)
 
 
-def _cells(danger: xr.Dataset, area: tuple[float, float, float, float], horizon_h: float) -> pd.DataFrame:
-    """Known, burnable grid cells within the area with their worth and its extremes."""
-    days = max(1, int(np.ceil(horizon_h / 24)))
-    part = danger.isel(lead_day=slice(0, days)).transpose("lead_day", "latitude", "longitude", ...)
+def lead_days(danger: xr.Dataset, time: pd.Timestamp, horizon_h: float) -> npt.NDArray[np.int64]:
+    """Indices of the lead days (24 h each) that meet the ``horizon_h`` after ``time``; the first of an undated grid.
+
+    DomainError if the grid begins after ``time`` (it knows what nobody knew) or ended before it.
+    """
+    if "lead_day_start" not in danger.variables:
+        return np.arange(min(max(1, int(np.ceil(horizon_h / 24))), danger.sizes["lead_day"]))
+    starts = pd.DatetimeIndex(danger["lead_day_start"].to_numpy()).tz_localize("UTC")
+    end = time + pd.Timedelta(hours=horizon_h)
+    days = np.flatnonzero((starts < end) & (starts + pd.Timedelta(days=1) > time))
+    if starts[0] > time or not len(days):
+        raise DomainError(
+            f"The lead days of the danger grid, from {starts[0].isoformat()} to {starts[-1].isoformat()}, do not hold "
+            f"{time.isoformat()}.",
+            field="danger",
+            value=starts[0].isoformat(),
+            accepted="a danger grid made at or before the time, of lead days that reach it",
+        )
+    return days
+
+
+def _cells(danger: xr.Dataset, area: tuple[float, float, float, float], days: npt.NDArray[np.int64]) -> pd.DataFrame:
+    """Known, burnable grid cells within the area with their worth on those lead days and its extremes."""
+    part = danger.isel(lead_day=days).transpose("lead_day", "latitude", "longitude", ...)
     seen = _worth(part, "_x")
     plain = _worth(part, "")
     latitude, longitude = np.meshgrid(part["latitude"].to_numpy(), part["longitude"].to_numpy(), indexing="ij")

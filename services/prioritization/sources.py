@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import xarray as xr
+from pandas.api.types import is_numeric_dtype
 
-from services.prioritization import weather
+from services.prioritization import longitudes, plain_columns, weather
 from services.prioritization.indices import KBDI_MAX_MM
 from services.prioritization.large_fire import features, rating
 from services.prioritization.large_fire.rating import SeriesAt
@@ -43,7 +44,8 @@ def weather_grid(path: Path, time: pd.Timestamp) -> weather.WeatherGrid:
             value=str(issued.min()) if len(issued) else "no hours",
             accepted="weather with issued_at at or before the time",
         )
-    return weather.weather_from_dataset(dataset.isel(time=np.flatnonzero(known)))
+    newest_last = np.flatnonzero(known)[np.argsort(issued[known], kind="stable")]
+    return weather.weather_from_dataset(dataset.isel(time=newest_last))
 
 
 def weather_series(path: Path, time: pd.Timestamp) -> tuple[SeriesAt, dict[str, int]]:
@@ -70,11 +72,11 @@ def drought_at(path: Path | None, series_at: SeriesAt, time: pd.Timestamp) -> Ca
     """
     if path is None:
         return lambda longitude, latitude: float("nan")
-    dataset = grids.read_netcdf(path)
+    dataset = longitudes.signed(grids.read_netcdf(path))
     if "kbdi" not in dataset.variables:
         return lambda longitude, latitude: float("nan")
     state_time = pd.to_datetime(str(dataset.attrs.get("state_time", "")), utc=True, errors="coerce")
-    values = dataset["kbdi"].transpose("latitude", "longitude")
+    values = _flat(dataset, "kbdi")
     worst = float(values.max())
     if worst > KBDI_MAX_MM or float(values.min()) < 0:
         raise DomainError(
@@ -85,7 +87,7 @@ def drought_at(path: Path | None, series_at: SeriesAt, time: pd.Timestamp) -> Ca
         )
     if pd.isna(state_time) or "annual_rain_mm" not in dataset.variables:
         return lambda longitude, latitude: _nearest(values, longitude, latitude)
-    annual = dataset["annual_rain_mm"].transpose("latitude", "longitude")
+    annual = _flat(dataset, "annual_rain_mm")
 
     def at(longitude: float, latitude: float) -> float:
         start, rain = _nearest(values, longitude, latitude), _nearest(annual, longitude, latitude)
@@ -98,11 +100,24 @@ def elevation_at(path: Path | None) -> Callable[[float, float], float]:
     """Height in metres of a place by the fuels grid; NaN without a grid, off it, or where the grid has no heights."""
     if path is None:
         return lambda longitude, latitude: float("nan")
-    dataset = grids.read_netcdf(path)
+    dataset = longitudes.signed(grids.read_netcdf(path))
     if "elevation_m" not in dataset.variables:
         return lambda longitude, latitude: float("nan")
-    values = dataset["elevation_m"].transpose("latitude", "longitude")
+    values = _flat(dataset, "elevation_m")
     return lambda longitude, latitude: _nearest(values, longitude, latitude)
+
+
+def _flat(dataset: xr.Dataset, name: str) -> xr.DataArray:
+    """A field of the fuels grid as (latitude, longitude); DomainError if it lies on other dimensions."""
+    axes = ("latitude", "longitude")
+    if set(dataset[name].dims) != set(axes) or not set(axes) <= set(dataset.variables):
+        raise DomainError(
+            f"'{name}' of the fuels grid lies on {tuple(map(str, dataset[name].dims))}.",
+            field=name,
+            value=str(dataset[name].dims),
+            accepted="latitude, longitude",
+        )
+    return dataset[name].transpose(*axes)
 
 
 def fuel_moisture_at(path: Path | None) -> Callable[[float, float, pd.Timestamp], float]:
@@ -123,7 +138,7 @@ def fuel_moisture_at(path: Path | None) -> Callable[[float, float, pd.Timestamp]
 
 def fuel_moisture_grid(path: Path) -> xr.Dataset:
     """The product of forecast-fuel-moisture; DomainError naming the variable it lacks."""
-    dataset = grids.read_netcdf(path)
+    dataset = longitudes.signed(grids.read_netcdf(path))
     for name in ("fuel_moisture_10h_pct", "time", "latitude", "longitude"):
         if name not in dataset.variables:
             raise DomainError(
@@ -156,15 +171,20 @@ def fire_table(path: Path) -> pd.DataFrame:
             table = pd.read_parquet(path)
         else:
             table = pd.read_csv(path, compression="gzip" if head[:2] == b"\x1f\x8b" else None, low_memory=False)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, EOFError) as error:
         raise DomainError(
             f"The table cannot be read: {error}", field="table", accepted="CSV, CSV.gz or Parquet"
         ) from error
+    text = [name for name in features.NUMERIC if name in table.columns and not is_numeric_dtype(table[name])]
+    table = table.assign(**{name: plain_columns.numbers(table, name, name) for name in text})
     if "T_SFC_historical" in table.columns:
         return features.from_victoria(table)
     if {"tmmx", "ics_id"} <= set(table.columns):
         return features.from_us(table)
     return features.derive(table)
+
+
+STATION_COLUMNS = "Parquet with time, fuel_moisture_10h_pct and geometry or longitude_deg, latitude_deg"
 
 
 def station_table(path: Path) -> pd.DataFrame:
@@ -173,16 +193,35 @@ def station_table(path: Path) -> pd.DataFrame:
 
     try:
         frame = geopandas.read_parquet(path)
-    except ValueError:
-        frame = pd.read_parquet(path)
-        if not {"longitude_deg", "latitude_deg"} <= set(frame.columns):
-            raise DomainError(
-                "The observations have no place.",
-                field="observations",
-                accepted="geometry or longitude_deg, latitude_deg",
-            ) from None
-        points = geopandas.points_from_xy(frame["longitude_deg"], frame["latitude_deg"])
-        frame = geopandas.GeoDataFrame(frame, geometry=points, crs="EPSG:4326")
+    except (ValueError, OSError):
+        frame = _points(path)
     if "time" in frame.columns:
-        frame["time"] = pd.to_datetime(frame["time"], utc=True)
+        frame["time"] = plain_columns.times(frame, "time", "observations")
+    for name in ("fuel_moisture_10h_pct", "fuel_moisture_sd_pct"):
+        if name in frame.columns:
+            frame[name] = plain_columns.numbers(frame, name, "observations")
+    if "fuel_moisture_sd_pct" in frame.columns and not (frame["fuel_moisture_sd_pct"].fillna(1.0) > 0).all():
+        worst = float(frame["fuel_moisture_sd_pct"].min())
+        raise DomainError(
+            f"'fuel_moisture_sd_pct' of the observations falls to {worst:g}.",
+            field="observations",
+            value=worst,
+            accepted="standard deviations above 0 %",
+        )
     return frame
+
+
+def _points(path: Path) -> pd.DataFrame:
+    """A plain Parquet table as points; DomainError if it is none or has no places."""
+    import geopandas
+
+    try:
+        frame = pd.read_parquet(path)
+    except (ValueError, OSError) as error:
+        raise DomainError(
+            "The table of observations is not Parquet.", field="observations", accepted=STATION_COLUMNS
+        ) from error
+    if not {"longitude_deg", "latitude_deg"} <= set(frame.columns):
+        raise DomainError("The observations have no place.", field="observations", accepted=STATION_COLUMNS)
+    places = [plain_columns.numbers(frame, name, "observations") for name in ("longitude_deg", "latitude_deg")]
+    return geopandas.GeoDataFrame(frame, geometry=geopandas.points_from_xy(*places), crs="EPSG:4326")

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 import xarray as xr
 
+from services.prioritization import longitudes
 from shared.errors import DomainError
 
 Array = npt.NDArray[np.float64]
@@ -86,7 +87,10 @@ def check_weather(values: npt.ArrayLike, name: str, where: str) -> tuple[Array, 
 
 
 def weather_from_dataset(dataset: xr.Dataset, where: str = "weather") -> WeatherGrid:
-    """A checked weather grid from the contract's dataset; DomainError naming a missing or impossible variable."""
+    """A checked weather grid from the contract's dataset; of hours given twice the last.
+
+    DomainError naming a missing or impossible variable.
+    """
     missing = [name for name in (*RANGES, "time", "latitude", "longitude") if name not in dataset.variables]
     if missing:
         raise DomainError(
@@ -94,7 +98,9 @@ def weather_from_dataset(dataset: xr.Dataset, where: str = "weather") -> Weather
             field=missing[0],
             accepted=", ".join(RANGES),
         )
-    ordered = dataset.sortby(["time", "latitude", "longitude"]).transpose("time", "latitude", "longitude", ...)
+    ordered = longitudes.signed(dataset).sortby(["time", "latitude", "longitude"])
+    # Of an hour that is there twice the last one given counts, or its rain would fall twice.
+    ordered = ordered.drop_duplicates("time", keep="last").transpose("time", "latitude", "longitude", ...)
     times = ordered["time"].to_numpy().astype("datetime64[ns]")
     fields, flagged = {}, {}
     for name in RANGES:

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from services.prioritization import indices
+from services.prioritization.physical_ranges import physical
 from shared.errors import DomainError
 
 Schema = Literal["loop", "full", "us"]
@@ -112,6 +113,13 @@ VICTORIA_COLUMNS = {
     "GFDI": "gfdi",
 }
 PRIMITIVES = ("temperature_c", "relative_humidity_pct", "wind_speed_m_s", "kbdi_mm")
+US_NUMBERS = ("tmmx", "rmin", "vs", "erc", "bi", "fm100", "fm1000", "days_from_ignition")
+NUMERIC = (
+    *dict.fromkeys((*PRIMITIVES, *BY_NAME, *US_NUMBERS)),
+    *VICTORIA_COLUMNS,
+    *(f"{name}_historical" for name in VICTORIA_COLUMNS),
+)
+"""Columns of any training table that hold numbers, by the names that the tables come with."""
 
 
 def features_of(schema: Schema, groups: tuple[Group, ...] = GROUPS) -> tuple[Feature, ...]:
@@ -140,6 +148,7 @@ def derive(primitives: pd.DataFrame) -> pd.DataFrame:
             )
     frame = primitives.copy()
     t, rh, wind, drought = (frame[name].to_numpy(dtype=np.float64) for name in PRIMITIVES)
+    frame["kbdi_mm"] = drought = physical(drought, "kbdi_mm")
     frame["vpd_hpa"] = indices.vapour_pressure_deficit_hpa(t, rh)
     burgan = indices.fuel_moisture_10h_pct(t, rh)
     given = frame.get("dead_fuel_moisture_10h_pct", pd.Series(np.nan, index=frame.index)).to_numpy(dtype=np.float64)
@@ -187,7 +196,7 @@ def from_us(table: pd.DataFrame) -> pd.DataFrame:
     Hottest hour's temperature (``tmmx``, kelvin) with the lowest humidity of the day and its mean wind; KBDI is not
     there. ``region`` groups states, for tests that leave one region out.
     """
-    needed = ("tmmx", "rmin", "vs", "erc", "bi", "fm100", "fm1000", "days_from_ignition", "ics_id", "ics_state")
+    needed = (*US_NUMBERS, "ics_id", "ics_state")
     missing = [name for name in needed if name not in table.columns]
     if missing:
         raise DomainError(f"The table lacks the column '{missing[0]}'.", field=missing[0], accepted=", ".join(needed))

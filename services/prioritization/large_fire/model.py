@@ -125,7 +125,7 @@ class LargeFireModel:
         names = [feature.name for feature in self.features]
         start_index = START_INDEX[self.calibration.schema]
         matrix = _matrix(frame, names, self.calibration.start, start_index)
-        trees = self.booster.predict(matrix, pred_contribs=True)[:, :-1].astype(np.float64)
+        trees = self.booster.predict(matrix, pred_contribs=True).reshape(-1, len(names) + 1)[:, :-1].astype(np.float64)
         typical = pd.DataFrame({start_index: [self.calibration.median[start_index]]})
         start = [_start_margin(rows, self.calibration.start, start_index) for rows in (frame, typical)]
         trees[:, names.index(start_index)] += start[0] - start[1]

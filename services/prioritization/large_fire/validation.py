@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from services.prioritization import plain_columns
 from services.prioritization.large_fire import features, model
 from services.prioritization.large_fire.model import TREE_SHARE
 from shared.errors import DomainError
@@ -66,7 +67,7 @@ def checked(
     labelled = table[table[label].notna() & table[unit].notna()]
     needed = [model.START_INDEX[schema], "temperature_c", "relative_humidity_pct", "wind_speed_m_s"]
     kept = labelled[labelled[needed].notna().all(axis=1)].reset_index(drop=True)
-    y = kept[label].to_numpy(dtype=np.float64)
+    y = plain_columns.numbers(kept, label, "label")
     if not np.isin(y, (0, 1)).all():
         raise DomainError(f"Column '{label}' holds more than 0 and 1.", field="label", value=label, accepted="0 or 1")
     units = kept[unit].astype(str).to_numpy()

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.interpolate import BSpline
 
+from services.prioritization import plain_columns
 from services.prioritization.prefire import fire_probability
 from services.prioritization.prefire.fire_probability import FireProbability, PlaceTerm, SmoothLogit
 from shared.errors import DomainError
@@ -196,7 +197,7 @@ def read_table(path: Path, name: str) -> pd.DataFrame:
     """A table of Parquet or CSV; DomainError if it is neither."""
     try:
         return pd.read_parquet(path) if path.read_bytes()[:4] == b"PAR1" else pd.read_csv(path)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, EOFError) as error:
         message = f"The table of {name} cannot be read: {error}"
         raise DomainError(message, field=name, accepted="Parquet or CSV") from error
 
@@ -204,7 +205,8 @@ def read_table(path: Path, name: str) -> pd.DataFrame:
 def checked_fires(table: pd.DataFrame) -> pd.DataFrame:
     """Fires with ``large`` (from ``area_km2`` where only that is given: over 500 acres), times in UTC."""
     if "large" not in table and "area_km2" in table:
-        table = table.assign(large=(table["area_km2"] > fire_probability.LARGE_FIRE_KM2).astype(int))
+        area_km2 = plain_columns.numbers(table, "area_km2", "area_km2")
+        table = table.assign(large=(area_km2 > fire_probability.LARGE_FIRE_KM2).astype(int))
     return _checked(table, FIRE_COLUMNS, "fires", "large")
 
 
@@ -229,14 +231,14 @@ def _checked(table: pd.DataFrame, columns: tuple[str, ...], name: str, outcome: 
             f"The table of {name} lacks '{missing[0]}'.", field=name, value=missing[0], accepted=", ".join(columns)
         )
     kept = [*columns, *(["large"] if "large" in table and "large" not in columns else [])]
-    checked = table[kept].assign(time=pd.to_datetime(table["time"], utc=True, errors="coerce"))
+    numeric = {column: plain_columns.numbers(table, column, column) for column in kept if column != "time"}
+    checked = table[["time"]].assign(time=plain_columns.times(table, "time", "time"), **numeric)[kept]
     limits = {"longitude_deg": 360, "latitude_deg": 90, "wfpi": fire_probability.WFPI_LARGEST}
     for column, limit in limits.items():
         values = checked[column].to_numpy(float)
         low = 0 if column == "wfpi" else -limit
         _refuse(name, column, ~((values >= low) & (values <= limit)), values, f"{low}..{limit}")
     _refuse(name, outcome, ~checked[outcome].isin([0, 1]).to_numpy(), checked[outcome].to_numpy(), "0 or 1")
-    _refuse(name, "time", checked["time"].isna().to_numpy(), table["time"].to_numpy(), "a time")
     return checked.reset_index(drop=True)
 
 

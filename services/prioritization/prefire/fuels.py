@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from services.prioritization import longitudes
 from services.prioritization.prefire import danger_grid, fire_potential
 from shared.errors import DomainError
 
@@ -121,6 +122,9 @@ def fuels_from_dataset(dataset: xr.Dataset) -> Fuels:
         raise DomainError(
             f"The fuels grid lacks '{missing[0]}'.", field=missing[0], accepted=", ".join((*REQUIRED, "mask_code"))
         )
+    dataset = longitudes.signed(dataset)
+    names = [name for name in (*REQUIRED, "mask_code", *OPTIONAL) if name in dataset.variables]
+    _check_dimensions(dataset, names)
     if "latitude" in dataset["ndvi"].dims:
         ordered = dataset.sortby(["latitude", "longitude"]).transpose("latitude", "longitude", ...)
         axes = (ordered[name].to_numpy().astype(np.float64) for name in ("latitude", "longitude"))
@@ -130,9 +134,20 @@ def fuels_from_dataset(dataset: xr.Dataset) -> Fuels:
         crs = ordered["crs"].attrs.get("crs_wkt", "") if "crs" in ordered.variables else ""
         x_m, y_m = (ordered[name].to_numpy().astype(np.float64) for name in ("x", "y"))
         grid = danger_grid.aligned_usgs_window(x_m, y_m, str(crs))
-    names = [name for name in (*REQUIRED, "mask_code", *OPTIONAL) if name in ordered.variables]
     notes = {name: str(ordered.attrs[name]) for name in NOTES if name in ordered.attrs}
     return checked_fuels(grid, {name: ordered[name].to_numpy() for name in names}, notes)
+
+
+def _check_dimensions(dataset: xr.Dataset, names: list[str]) -> None:
+    axes = ("latitude", "longitude") if "latitude" in dataset["ndvi"].dims else ("y", "x")
+    for name in names:
+        if set(dataset[name].dims) != set(axes) or not set(axes) <= set(dataset.variables):
+            raise DomainError(
+                f"'{name}' of the fuels grid lies on {tuple(map(str, dataset[name].dims))}.",
+                field=name,
+                value=str(dataset[name].dims),
+                accepted="latitude, longitude in degrees, or y, x in metres, with their coordinates",
+            )
 
 
 def checked_fuels(grid: danger_grid.DangerGrid, bands: Mapping[str, Array], notes: Mapping[str, str]) -> Fuels:
