@@ -15,6 +15,8 @@ Integers = NDArray[np.int64]
 
 # what a footprint may reach from its point at 85 degrees of incidence: 9 km of Fresnel zone and a second's motion
 FOOTPRINT_REACH_M = 25_000.0
+# Sides are straight: of wider cells they would leave the meridians and parallels by more than 0.12 km
+WIDEST_PIECE_DEG = 0.5
 REPORTED_RADII_KM = (3.5, 10.0, 25.0)
 
 
@@ -24,11 +26,13 @@ class Places:
 
     ``position_m`` (n, 3) in order of column, then z, each with its input ``row``; ``first`` (columns + 1,) where each
     column starts; ``edges_m`` (n, 6) the half sides of cells to east and north, or (0, 6) where places are points.
-    ``chord_m`` is the radius as a straight line; None where the footprint decides.
+    Wide cells are there in pieces that share their ``row``; ``middle_m`` (n, 3) are the middles of their cells then,
+    else (0, 3). ``chord_m`` is the radius as a straight line; None where the footprint decides.
     """
 
     position_m: Array
     edges_m: Array
+    middle_m: Array
     row: Integers
     first: Integers
     origin_m: Array
@@ -38,7 +42,8 @@ class Places:
     chord_m: float | None
 
     def __len__(self) -> int:
-        return len(self.row)
+        """Places as given, wide cells counted once."""
+        return int(self.row.max()) + 1
 
 
 def places(
@@ -57,6 +62,11 @@ def places(
     """
     latitude, longitude = np.asarray(latitude_deg, dtype=np.float64), np.asarray(longitude_deg, dtype=np.float64)
     _refuse_what_is_no_place(latitude, longitude, field)
+    row, middle = np.arange(len(latitude)), np.empty((0, 3))
+    if radius_km is None and half_sides_deg is not None and 2.0 * max(half_sides_deg) > WIDEST_PIECE_DEG:
+        middles = to_cartesian(latitude, longitude, surface_height_m)
+        latitude, longitude, half_sides_deg, row = _pieces(latitude, longitude, half_sides_deg)
+        middle = middles[row]
     position = to_cartesian(latitude, longitude, surface_height_m)
     edges = np.empty((0, 6)) if half_sides_deg is None else _half_sides(latitude, longitude, half_sides_deg)
     chord = None if radius_km is None else chord_from_arc_m(radius_km * 1000.0)
@@ -73,7 +83,8 @@ def places(
     return Places(
         np.ascontiguousarray(position[order]),
         np.ascontiguousarray(edges[order]) if len(edges) else edges,
-        order.astype(np.int64),
+        np.ascontiguousarray(middle[order]) if len(middle) else middle,
+        row[order].astype(np.int64),
         first,
         origin,
         columns,
@@ -81,6 +92,19 @@ def places(
         radius_km or 0.0,
         chord,
     )
+
+
+def _pieces(
+    latitude: Array, longitude: Array, half_deg: tuple[float, float]
+) -> tuple[Array, Array, tuple[float, float], Integers]:
+    """Middles and half sides of the pieces of cells, none wider than ``WIDEST_PIECE_DEG``, and the cell of each."""
+    count = [int(np.ceil(round(2.0 * half / WIDEST_PIECE_DEG, 9))) for half in half_deg]
+    north, east = (half * ((2.0 * np.arange(n) + 1.0) / n - 1.0) for half, n in zip(half_deg, count, strict=True))
+    up, right = (offset.ravel() for offset in np.meshgrid(north, east, indexing="ij"))
+    row = np.repeat(np.arange(len(latitude)), len(up))
+    of_latitude, of_longitude = (latitude[:, np.newaxis] + up).ravel(), (longitude[:, np.newaxis] + right).ravel()
+    kept = np.abs(of_latitude) <= 90.0  # a last row may reach beyond the pole
+    return of_latitude[kept], of_longitude[kept], (half_deg[0] / count[0], half_deg[1] / count[1]), row[kept]
 
 
 def _refuse_what_is_no_place(latitude: Array, longitude: Array, field: str) -> None:

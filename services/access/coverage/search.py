@@ -58,6 +58,7 @@ def covered(
         np.empty((0, 5)) if footprints is None else footprints.shape,
         places.position_m,
         places.edges_m,
+        places.middle_m,
         places.row,
         places.first,
         places.origin_m,
@@ -67,8 +68,7 @@ def covered(
         step_s,
         nearest,
     )
-    found, chord = found[:used], chord[:used]
-    order = np.argsort(found[:, 0].astype(np.int64) * len(places) + found[:, 1], kind="stable")
+    order = np.argsort(found[:used, 0].astype(np.int64) * len(places) + found[:used, 1], kind="stable")
     step, row, point = found[order].T
     nearest_km = (arc_from_chord_m(np.sqrt(nearest)) / 1000.0).astype(np.float32)
     nearest_km[~np.isfinite(nearest)] = np.inf
@@ -115,6 +115,7 @@ def _cover(
     shapes: Array,
     targets: Array,
     edges: Array,
+    middles: Array,
     rows: Integers,
     column_first: Integers,
     origin: Array,
@@ -126,12 +127,11 @@ def _cover(
 ) -> tuple[NDArray[np.int32], Array, int]:
     found = np.empty((4096, 3), dtype=np.int32)
     distance = np.empty(4096)
-    used = 0
+    first, used = 0, 0
     best = np.full(len(targets), -1, dtype=np.int64)
     best_square = np.empty(len(targets))
     touched = np.empty(len(targets), dtype=np.int64)
     east, north = np.empty(3), np.empty(3)
-    first = 0
     while first < len(time_index):
         last, count = first, 0
         near = nearest[min(int(time_index[first]) * step_s // DAY_S, len(nearest) - 1)]
@@ -153,8 +153,12 @@ def _cover(
                         if square > reach * reach:
                             continue
                         row = rows[k]
+                        covers = _covers(chord, square, dx, dy, dz, shape, east, north, edges, k)
+                        if len(middles) > 0:
+                            dx, dy, dz = middles[k, 0] - point[0], middles[k, 1] - point[1], middles[k, 2] - point[2]
+                            square = dx * dx + dy * dy + dz * dz
                         near[row] = min(near[row], square)
-                        if not _covers(chord, square, dx, dy, dz, shape, east, north, edges, k):
+                        if not covers:
                             continue
                         other = best[row]
                         if other < 0:

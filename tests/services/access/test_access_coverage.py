@@ -17,7 +17,7 @@ from services.access.coverage.grid import cells_at, even_grid
 from services.access.coverage.places import places
 from services.access.coverage.revisit import Revisits, join_visits, summary, visits
 from services.access.coverage.search import covered
-from services.access.ellipsoid import chord_from_arc_m, to_cartesian, up_vector
+from services.access.ellipsoid import arc_from_chord_m, chord_from_arc_m, to_cartesian, up_vector
 from services.access.horizon import Horizon
 from services.access.specular.footprint import Footprints
 from shared.errors import DomainError
@@ -167,6 +167,34 @@ def test_even_grids_fill_their_box_over_dateline_and_poles() -> None:
         even_grid(1.0, (0.0, 10.0, 10.0, 5.0))
     with pytest.raises(DomainError, match="makes"):
         even_grid(0.01)
+
+
+@pytest.mark.parametrize("spacing_deg", [0.25, 1.0, 5.0, 30.0])
+def test_cells_of_any_size_are_boxes_of_longitude_and_latitude(spacing_deg: float) -> None:
+    """By footprints of 300 m a cell is covered where the point lies in its box, or within 0.5 km of it; poles too."""
+    rng = np.random.default_rng(3)
+    latitude = np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, 1500)))
+    latitude[:400] = rng.uniform(84.0, 90.0, 400) * rng.choice([-1.0, 1.0], 400)
+    longitude = rng.uniform(-180.0, 180.0, 1500)
+    latitude[:2], longitude[2:4] = [90.0, -90.0], [180.0, -180.0]
+    zones = Footprints(np.tile([1 / 300.0, 0.0, 1 / 300.0, 1.0, 1.0], (1500, 1)))
+    grid = even_grid(spacing_deg)
+    index = np.arange(1500, dtype=np.int32)
+    ready = grid.places(None)
+    found = covered(index, to_cartesian(latitude, longitude), np.zeros(1500), ready, footprints=zones)
+    row = np.minimum(((90.0 - latitude) / spacing_deg).astype(int), grid.shape[0] - 1)
+    holder = row * grid.shape[1] + ((longitude + 180.0) / spacing_deg).astype(int) % grid.shape[1]
+    assert set(zip(index, holder, strict=True)) <= set(zip(found.time_index, found.row, strict=True))
+    north = np.abs(latitude[found.time_index] - grid.latitude_deg[found.row]) - spacing_deg / 2
+    turn = (longitude[found.time_index] - grid.longitude_deg[found.row] + 180.0) % 360.0 - 180.0
+    east = (np.abs(turn) - spacing_deg / 2).clip(0.0) * np.cos(np.radians(latitude[found.time_index]))
+    assert 111.4 * np.hypot(north.clip(0.0), east).max() < 0.5
+    assert len(ready) == len(grid) and found.nearest_km.shape == (1, len(grid))
+    near = np.isfinite(found.nearest_km[0])
+    middles = to_cartesian(grid.latitude_deg, grid.longitude_deg)[near]
+    nearest, _ = cKDTree(to_cartesian(latitude, longitude)).query(middles)
+    inside = nearest < 25e3
+    assert np.allclose(1000.0 * found.nearest_km[0][near][inside], arc_from_chord_m(nearest[inside]), rtol=1e-5)
 
 
 def test_land_cells_are_on_land() -> None:
