@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from services.retrieval.ancillary.layers import Layers, with_ancillary
 from services.retrieval.baseline import CHANGE_FEATURES, build_baseline
 from services.retrieval.burned_area import FEATURES, BurnedModel, auc, feature_table, train
 from services.retrieval.features import TEXTURE_FEATURES, read_observations
@@ -25,6 +26,7 @@ from services.retrieval.simulation.training_world import (
     DAY_MS,
     WorldPlan,
     make_images,
+    make_soil_moisture,
     make_specular_points,
     make_surface,
 )
@@ -48,7 +50,7 @@ class Examples:
     raw_if: NDArray[np.bool_]
 
 
-def world_examples(plan: WorldPlan, folder: Path) -> Examples:
+def world_examples(plan: WorldPlan, folder: Path, raw_if_share: float = RAW_IF_SHARE) -> Examples:
     """Simulate a world, build its baseline from the days before, and label the looks around and after the ignitions."""
     surface = make_surface(plan)
     split_ms = plan.ignition_ms - UNBURNED_LEAD_DAYS * DAY_MS
@@ -57,10 +59,11 @@ def world_examples(plan: WorldPlan, folder: Path) -> Examples:
     paths = [folder / f"{plan.seed}_{name}.nc" for name in ("before", "nominal", "raw_if")]
     simulate_nominal(before, surface, plan.seed * 10 + 1).write(paths[0], {})
     simulate_nominal(after, surface, plan.seed * 10 + 2).write(paths[1], {})
-    images = make_images(after, RAW_IF_SHARE, plan.seed)
+    images = make_images(after, raw_if_share, plan.seed)
     simulate_raw_if(after, images, surface, plan.seed * 10 + 3).write(paths[2], {})
     baseline = build_baseline(read_observations(paths[:1]).looks)
-    looks = read_observations(paths[1:]).looks
+    layers = Layers(soil_moisture=make_soil_moisture(plan, surface))
+    looks = with_ancillary(read_observations(paths[1:]).looks, layers)
     latitude, longitude = np.meshgrid(surface.burn_latitude_deg, surface.burn_longitude_deg, indexing="ij")
     label = label_looks(looks, labels_table(latitude, longitude, surface.burn_time))
     known = label != UNKNOWN
@@ -68,10 +71,10 @@ def world_examples(plan: WorldPlan, folder: Path) -> Examples:
     return Examples(table, label[known] == BURNED, (looks["mode"] == "raw-if").to_numpy()[known])
 
 
-def gather(plans: Sequence[WorldPlan]) -> Examples:
+def gather(plans: Sequence[WorldPlan], raw_if_share: float = RAW_IF_SHARE) -> Examples:
     """Examples of several worlds, in their order."""
     with tempfile.TemporaryDirectory() as name:
-        parts = [world_examples(plan, Path(name)) for plan in plans]
+        parts = [world_examples(plan, Path(name), raw_if_share) for plan in plans]
     return Examples(
         pd.concat([part.table for part in parts], ignore_index=True),
         np.concatenate([part.burned for part in parts]),
@@ -94,6 +97,7 @@ def ablations() -> dict[str, tuple[str, ...]]:
         "all features": FEATURES,
         "no change features": no_change,
         "no texture features": no_texture,
+        "all and ancillary soil moisture": (*FEATURES, "ancillary_soil_moisture"),
         "neither": tuple(name for name in no_change if name in no_texture),
     }
 

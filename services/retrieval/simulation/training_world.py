@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import geopandas
 import numpy as np
 import pandas as pd
+import pyproj
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -25,7 +26,7 @@ CELL_DEG, BURN_CELL_DEG = 0.05, 0.01
 
 @dataclass(frozen=True)
 class WorldPlan:
-    """What to make: a box (deg), a first day, days before and after the first ignition, number of fires."""
+    """What to make: a box (deg), a first day, days before and after the first ignition, number and size of fires."""
 
     seed: int
     latitude_deg: float
@@ -35,6 +36,7 @@ class WorldPlan:
     days_before: int = 30
     days_after: int = 10
     fires: int = 12
+    fire_radius_km: tuple[float, float] = (4.0, 22.0)
 
     @property
     def first_ms(self) -> int:
@@ -103,7 +105,7 @@ def _burn_times(rng: np.random.Generator, plan: WorldPlan, latitude: FloatArray,
     ragged = 1.0 + 0.35 * (_uniform_field(rng, grid_latitude.shape, 4.0) - 0.5)
     for _ in range(plan.fires):
         middle = plan.size_deg * rng.uniform(0.12, 0.88, 2) + np.array([plan.latitude_deg, plan.longitude_deg])
-        radius_km, days, angle = rng.uniform(4.0, 22.0), rng.uniform(0.5, 5.0), rng.uniform(0.0, np.pi)
+        radius_km, days, angle = rng.uniform(*plan.fire_radius_km), rng.uniform(0.5, 5.0), rng.uniform(0.0, np.pi)
         north = (grid_latitude - middle[0]) * 111.2
         east = (grid_longitude - middle[1]) * 111.2 * np.cos(np.deg2rad(middle[0]))
         along = north * np.cos(angle) + east * np.sin(angle)
@@ -158,6 +160,25 @@ def _track_table(rng: np.random.Generator, count: int, per_track: int, begin: ND
     }
     table = pd.DataFrame({name: np.repeat(values, per_track) for name, values in columns.items()})
     return table.assign(time=np.repeat(begin, per_track) + np.tile(np.arange(per_track) * 1000, count))
+
+
+def make_soil_moisture(plan: WorldPlan, surface: Surface, noise: float = 0.04) -> pd.DataFrame:
+    """What a radiometer such as SMAP would say of the world at 6 h of each day: cells of ``surface`` averaged to 9 km.
+
+    A table ``time``, ``row``, ``column``, ``soil_moisture`` with an error of ``noise`` m3/m3 (SMAP's requirement).
+    """
+    latitude, longitude = np.meshgrid(surface.latitude_deg, surface.longitude_deg, indexing="ij")
+    x, y = pyproj.Transformer.from_crs(4326, 6933, always_xy=True).transform(longitude.ravel(), latitude.ravel())
+    row = np.floor((7_314_540.83 - np.asarray(y)) / 9008.055210146).astype(np.int64)
+    column = np.floor((np.asarray(x) + 17_367_530.44516138) / 9008.055210146).astype(np.int64)
+    rng = np.random.default_rng([plan.seed, 4])
+    days = []
+    for day, values in zip(surface.time, surface.soil_moisture, strict=True):
+        table = pd.DataFrame({"row": row, "column": column, "soil_moisture": values.ravel().astype(np.float64)})
+        table = table.groupby(["row", "column"], as_index=False).mean()
+        table["soil_moisture"] = np.clip(table["soil_moisture"] + rng.normal(0.0, noise, len(table)), 0.02, 0.65)
+        days.append(table.assign(time=day + np.timedelta64(6 * 3_600_000, "ms")))
+    return pd.concat(days, ignore_index=True)
 
 
 def make_images(points: pd.DataFrame, share: float, seed: int) -> pd.DataFrame:
