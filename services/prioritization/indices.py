@@ -131,10 +131,12 @@ def kbdi(
     annual_rain_mm: npt.ArrayLike,
     initial_mm: npt.ArrayLike = 0.0,
     state: KBDIState | None = None,
+    bridged_days: int = 0,
 ) -> tuple[Array, KBDIState]:
     """Keetch-Byram drought index in mm (0-203.2), days first, and the state that the next day resumes from.
 
-    Metric form of equation 18 with 8.30 (Alexander 1990); rain counts beyond the first 5.08 mm of a wet spell.
+    Metric form of equation 18 with 8.30 (Alexander 1990); rain counts beyond the first 5.08 mm of a wet spell. Missing
+    days as in ``canadian``.
     """
     start = physical(initial_mm, "kbdi_mm")
     seed: dict[str, Any] = {"initial_state": state} if state is not None else {"initial_kbdi": start}
@@ -143,9 +145,14 @@ def kbdi(
         physical(temperature_max_c, "temperature_c"),
         physical(annual_rain_mm, "annual_rain_mm"),
         return_state=True,
+        **_missing_days(bridged_days),
         **seed,
     )
     return result.values, result.state
+
+
+def _missing_days(bridged_days: int) -> dict[str, Any]:
+    return {"nan_policy": "bridge" if bridged_days else "propagate", "max_gap_days": bridged_days}
 
 
 @dataclass(frozen=True)
@@ -170,10 +177,13 @@ def canadian(
     month: npt.ArrayLike,
     state: CFFWISState | None = None,
     start: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike] | None = None,
+    bridged_days: int = 0,
 ) -> CanadianIndices:
     """Canadian fire weather index system from noon (local standard) weather and 24 h rain (mm), days first.
 
-    Starts from 85/6/15, or from ``start`` (FFMC, DMC, DC), or goes on from yesterday's ``state``.
+    Starts from 85/6/15, or from ``start`` (FFMC, DMC, DC), or goes on from yesterday's ``state``. A day with a value
+    missing is NaN; the codes go on after it from the day before if at most ``bridged_days`` are missing in a row, else
+    they stay NaN.
     """
     seed: dict[str, Any] = {"initial_state": state}
     if state is None and start is not None:
@@ -186,6 +196,7 @@ def canadian(
         physical(latitude_deg, "latitude_deg"),
         month,
         return_state=True,
+        **_missing_days(bridged_days),
         **seed,
     )
     codes = {name: getattr(result, name) for name in ("ffmc", "dmc", "dc", "isi", "bui", "fwi")}

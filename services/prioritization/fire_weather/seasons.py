@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 START_ABOVE_C = 12.0
 END_BELOW_C = 5.0
 DAYS_IN_A_ROW = 3
+BRIDGED_DAYS = 7
 FFMC_START, DMC_START, DC_START = 85.0, 6.0, 15.0
 NAMES = ("ffmc", "dmc", "dc", "isi", "bui", "fwi")
 
@@ -60,7 +61,8 @@ def canadian_years(
 
     ``weather`` is indexed by day without gaps: temperature_c, relative_humidity_pct, wind_speed_m_s (noon), rain_mm (24
     h), temperature_max_c. A season starts from FFMC 85, DMC 6 and the DC that last autumn's became over the winter's
-    rain (Lawson & Armitage 2008); the first one ever from 15. DomainError names a missing column or a gap.
+    rain (Lawson & Armitage 2008); the first one ever from 15. A missing day is NaN, and up to 7 in a row do not end the
+    season's series; winter starts from the last DC known. DomainError names a missing column or a day left out.
     """
     _check(weather)
     before = resume or Carried(False, None, np.nan, 0.0, ())
@@ -82,10 +84,12 @@ def canadian_years(
             month=part.index.month.to_numpy(),
             state=state,
             start=(FFMC_START, DMC_START, dc),
+            bridged_days=BRIDGED_DAYS,
         )
         for name in NAMES:
             out.iloc[begin:end, out.columns.get_loc(name)] = getattr(result, name).ravel()
-        state, last_dc, winter_rain = result.state, float(result.dc.ravel()[-1]), 0.0
+        known = result.dc[np.isfinite(result.dc)]
+        state, last_dc, winter_rain = result.state, float(known[-1]) if len(known) else last_dc, 0.0
     in_season = bool(season[-1])
     return out, Carried(in_season, state, last_dc, winter_rain, _pending(warmest, in_season))
 

@@ -102,3 +102,45 @@ def test_gaps_and_missing_columns_are_named(places):
     with pytest.raises(DomainError) as caught:
         seasons.canadian_years(places[0].drop(columns="rain_mm"), 49.5)
     assert caught.value.field == "rain_mm"
+
+
+def _warm_years() -> pd.DataFrame:
+    day = np.arange(900)
+    warmth = 15 + 15 * np.sin((day - 100) * 2 * np.pi / 365.25)
+    air = {"temperature_c": warmth, "temperature_max_c": warmth, "relative_humidity_pct": 30.0}
+    index = pd.date_range("2015-01-01", periods=len(day))
+    return pd.DataFrame({**air, "wind_speed_m_s": 4.0, "rain_mm": 0.0}, index=index)
+
+
+def test_a_missing_day_ends_neither_the_season_nor_the_drought():
+    weather = _warm_years()
+    whole, _ = seasons.canadian_years(weather, 45.0)
+    gappy = weather.copy()
+    gappy.loc["2015-07-01", ["relative_humidity_pct", "temperature_c"]] = np.nan
+    ours, _ = seasons.canadian_years(gappy, 45.0)
+    assert ours.loc["2015-07-01"].isna().any()
+    assert ours.loc["2015-07-02":"2015-09-30"].notna().all(axis=None)
+    # A day of drying is all that is lost.
+    assert 0 < whole.loc["2015-09-01", "dc"] - ours.loc["2015-09-01", "dc"] < 12
+    assert ours.loc["2015-09-01", "fwi"] == pytest.approx(whole.loc["2015-09-01", "fwi"], abs=0.2)
+
+
+def test_a_long_gap_is_not_a_winter_that_wets_everything():
+    weather = _warm_years()
+    whole, _ = seasons.canadian_years(weather, 45.0)
+    gappy = weather.copy()
+    gappy.loc["2015-09-01":, "temperature_c"] = gappy.loc["2015-09-01":, "temperature_c"].where(
+        gappy.loc["2015-09-01":].index >= pd.Timestamp("2016-03-01")
+    )
+    ours, _ = seasons.canadian_years(gappy, 45.0)
+    assert ours.loc["2015-09-10":"2015-12-01", "dc"].isna().all()  # too many days are missing to go on
+    assert ours.loc["2016-06-01", "dc"] > 0.7 * whole.loc["2016-06-01", "dc"]  # from autumn's last DC, not from 15
+
+
+def test_resuming_within_a_gap_gives_what_one_run_gives():
+    weather = _warm_years()
+    weather.loc["2015-07-01":"2015-07-03", "relative_humidity_pct"] = np.nan
+    whole, _ = seasons.canadian_years(weather, 45.0)
+    first, carried = seasons.canadian_years(weather.loc[:"2015-07-02"], 45.0)
+    second, _ = seasons.canadian_years(weather.loc["2015-07-03":], 45.0, carried)
+    pd.testing.assert_frame_equal(pd.concat([first, second]), whole, check_freq=False)
