@@ -2,8 +2,12 @@
 
 Burned-area figures are of simulated worlds that the shipped model has not seen (seeds, places and days of their own):
 ``burned_auc_nominal`` and ``burned_auc_raw_if`` by what a map alone tells (no baseline), ``burned_auc_change`` with the
-change against the place's own past, both modes. Soil moisture over Texas is real CYGNSS against SMAP, each day
-predicted from the others, beside the cell mean; it needs SMOKEGLINT_DATA and is left out without.
+change against the place's own past, both modes. ``burned_recall_nominal`` and ``burned_recall_joint``: recall over the
+looks of both modes, at 5 % false alarms, by a model trained on nominal looks only and by one trained on both;
+``texture_gain_*``: relative gain in that recall by texture, within a mode (tests/bench/retrieval/burned_claims.py;
+``--long`` adds the second case, a day of level-1 and a second of raw-IF). Soil moisture over Texas is real CYGNSS
+against SMAP, each day predicted from the others, beside the cell mean; it needs SMOKEGLINT_DATA and is left out
+without.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import json
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -30,12 +35,13 @@ from services.retrieval.simulation.observations import simulate_nominal
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
 from services.retrieval.soil_moisture.skill import skill_report
 from services.retrieval.texture import quantise, texture
+from tests.bench.retrieval import burned_claims, throughput
 from tests.services.retrieval.texas import texas_pairs
 
 WORLDS = [WorldPlan(7001 + n, 31.0 + 5 * n, -105.0 - 4 * n, first_day="2024-02-10") for n in range(2)]
 
 
-def emit(name: str, value: float, unit: str, bar: float | None) -> None:
+def emit(name: str, value: float | None, unit: str, bar: float | None) -> None:
     print(json.dumps({"name": name, "value": value, "unit": unit, "bar": bar}), flush=True)
 
 
@@ -63,13 +69,14 @@ def measure_maps() -> None:
 
 
 def measure_model() -> None:
-    """Training on 200,000 looks with the shipped settings, prediction of 100, size on disk."""
+    """Training on 200,000 looks x 30 with the shipped settings, prediction of 100, size on disk."""
     rng = np.random.default_rng(0)
-    table = pd.DataFrame(rng.standard_normal((200_000, len(FEATURES))).astype(np.float32), columns=list(FEATURES))
+    names = (*FEATURES, "height_m", "slope_deg")  # thirty
+    table = pd.DataFrame(rng.standard_normal((200_000, len(names))).astype(np.float32), columns=list(names))
     burned = rng.random(len(table)) < 1 / (1 + np.exp(3.0 - table["change_near_db"] - 0.5 * table["coherence"] ** 2))
     held = np.arange(len(table)) % 10 == 0
     start = time.perf_counter()
-    train(table, burned.to_numpy(), held)
+    train(table, burned.to_numpy(), held, names)
     emit("train_200k_s", round(time.perf_counter() - start, 2), "s", 30)
     model, hundred = load_model(MODEL_PATH), table.head(100)
     emit("predict_100_ms", round(1e3 * best_of(20, lambda: model.probability(hundred)), 2), "ms", 20)
@@ -92,6 +99,27 @@ def measure_burned() -> None:
     emit("burned_auc_change", round(auc(model.probability(table), burned), 4), "1", None)
 
 
+def measure_claims() -> None:
+    """The paper's claims on worlds of the benchmark's own."""
+    for name, value in burned_claims.headline().items():
+        emit(name, round(value, 4) if np.isfinite(value) else None, "1", None)
+
+
+def measure_long() -> None:
+    """Both cases with the ablation, a day of level-1, a second of raw-IF."""
+    for case, found in burned_claims.measure().items():
+        for name, score in found.items():
+            label = name.replace(", ", "_").replace(" ", "_")
+            emit(f"burned_auc_{case}_{label}", round(score.auc, 4), "1", None)
+            emit(f"burned_recall_{case}_{label}", round(score.recall, 4), "1", None)
+    seconds, mebibytes = throughput.day_of_level1()
+    emit("level1_day_s", round(seconds, 1), "s", None)
+    emit("level1_day_peak_mib", round(mebibytes), "MiB", None)
+    seconds, error_chips = throughput.second_of_raw_if()
+    emit("raw_if_second_s", round(seconds, 2), "s", None)
+    emit("raw_if_code_phase_error_chips", round(error_chips, 4), "chip", None)
+
+
 def measure_texas() -> None:
     """Real CYGNSS and SMAP: ubRMSE with each day predicted from the others, and of the cell mean."""
     folder = os.environ.get("SMOKEGLINT_DATA")
@@ -107,4 +135,7 @@ if __name__ == "__main__":
     measure_maps()
     measure_model()
     measure_burned()
+    measure_claims()
     measure_texas()
+    if "--long" in sys.argv:
+        measure_long()
