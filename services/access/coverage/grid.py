@@ -65,10 +65,10 @@ def even_grid(spacing_deg: float, area: Area | None = None, land_only: bool = Fa
     some 10 km, no lakes, no small islands). DomainError for a box that is none, more than four million cells, or none.
     """
     west, south, east, north = area or (-180.0, -90.0, 180.0, 90.0)
-    wide = east - west + (360.0 if east <= west else 0.0)
-    rows, columns = (round(np.ceil(round(side / spacing_deg, 9))) for side in (north - south, wide))
     if not (-90 <= south < north <= 90 and -180 <= west <= 180 and -180 <= east <= 180):
         raise _fault(f"area {area} is not a box", area)
+    wide = east - west + (360.0 if east <= west else 0.0)
+    rows, columns = (round(np.ceil(round(side / spacing_deg, 9))) for side in (north - south, wide))
     if rows * columns > MOST_CELLS:
         raise _fault(f"spacing {spacing_deg} degrees makes {rows * columns} cells", spacing_deg)
     top = min(south + rows * spacing_deg, 90.0)

@@ -39,7 +39,8 @@ def name_transmitters(
     for orbit in orbits:
         code = transmitter_code(orbit.name, orbit.catalogue_number, when)
         if code is None:
-            dropped[orbit.name] = (
+            key = orbit.name if orbit.name not in dropped else f"{orbit.name} ({orbit.where})"
+            dropped[key] = (
                 f"no ranging code is known for catalogue number {orbit.catalogue_number} on {when:%Y-%m-%d}"
                 if orbit.catalogue_number is not None
                 else "its name is no ranging code"

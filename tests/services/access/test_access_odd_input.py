@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 import shapely
 
-from services.access.coverage.grid import cells_at
+from services.access.coverage.grid import cells_at, even_grid
 from services.access.fleets import read_fleet
 from services.access.horizon import Horizon
 from services.access.orbits.elements import ElementSet
@@ -91,6 +91,12 @@ def test_catalogue_numbers_of_nine_digits_are_what_omm_is_for() -> None:
     assert np.array_equal(*states)
 
 
+def test_transmitters_without_a_code_are_all_told_even_under_one_name() -> None:
+    rows = [{**OMM, "OBJECT_NAME": "TBA", "NORAD_CAT_ID": str(number)} for number in (99991, 99992)]
+    _, dropped = name_transmitters([*_sets(TRANSMITTERS), *_sets(json.dumps(rows))], START)
+    assert list(dropped) == ["TBA", "TBA (row 1)"]
+
+
 def _oem(**changes: str) -> str:
     (orbit,), _ = propagate(_sets(RECEIVERS)[:1], START, 600.0, 60.0)
     text = oem_kvn(
@@ -149,6 +155,12 @@ def test_a_roll_without_a_satellite_is_not_lost(satellite: object) -> None:
 def test_an_antenna_of_endless_channels_is_refused() -> None:
     with pytest.raises(DomainError, match="does not describe an antenna system"):
         antenna_system({"name": "x", "channels": float("inf"), "floor_dbi": 0.0, "antennas": []})
+
+
+@pytest.mark.parametrize("edge", [float("nan"), float("inf")])
+def test_a_grid_without_numbers_is_no_box(edge: float) -> None:
+    with pytest.raises(DomainError, match="is not a box"):
+        even_grid(1.0, (0.0, edge, 5.0, 5.0))
 
 
 def test_cells_by_centres_turn_their_longitudes_and_name_their_row() -> None:
