@@ -62,8 +62,10 @@ def draw_map(
 
 def _draw_coverage(figure: Figure, axes: Any, covered: Covered) -> None:
     _draw_land(axes)
+    _draw_land(axes, 360.0)
     keep = slice(None, None, -(-len(covered.visits) // MOST_DOTS))
-    latitude, longitude, visits = covered.latitude_deg[keep], covered.longitude_deg[keep], covered.visits[keep]
+    latitude, visits = covered.latitude_deg[keep], covered.visits[keep]
+    longitude = _together(covered.longitude_deg)[keep]
     extent = _extent(longitude), _extent(latitude)
     size = float(np.clip(60_000.0 / max(len(visits), 1), 1.0, 30.0))
     none = visits == 0
@@ -79,11 +81,11 @@ def _draw_coverage(figure: Figure, axes: Any, covered: Covered) -> None:
     axes.set_title(f"{covered.what}: {share:.1f} % of {len(covered.visits):,} covered (grey: none)")
 
 
-def _draw_land(axes: Any) -> None:
+def _draw_land(axes: Any, east_deg: float = 0.0) -> None:
     import shapely
     from matplotlib.collections import PolyCollection
 
-    shells = [np.asarray(part.exterior.coords) for part in shapely.get_parts(land())]
+    shells = [np.asarray(part.exterior.coords) + np.array([east_deg, 0.0]) for part in shapely.get_parts(land())]
     axes.add_collection(PolyCollection(shells, facecolors="0.93", edgecolors="0.6", linewidths=0.5, zorder=0))
 
 
@@ -93,6 +95,12 @@ def _unwrapped(track: Array) -> tuple[Array, Array]:
     return np.insert(track[:, 0], jump, np.nan), np.insert(track[:, 1], jump, np.nan)
 
 
+def _together(longitude_deg: Array) -> Array:
+    """Longitudes as 0 to 360 where that leaves them far nearer together, so that a region over the dateline is one."""
+    turned = longitude_deg % 360.0
+    return turned if np.ptp(turned) < np.ptp(longitude_deg) - 180.0 else longitude_deg
+
+
 def _extent(degrees: Array) -> tuple[float, float]:
     low, high = float(degrees.min()), float(degrees.max())
     margin = max(0.05 * (high - low), 1.0)
@@ -100,7 +108,7 @@ def _extent(degrees: Array) -> tuple[float, float]:
 
 
 def _frame(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    axes.set_xlim(max(x[0], -180.0), min(x[1], 180.0))
+    axes.set_xlim(max(x[0], -180.0), min(x[1], 360.0 if x[1] - x[0] < 360.0 else 180.0))
     axes.set_ylim(max(y[0], -90.0), min(y[1], 90.0))
     middle = 0.5 * (y[0] + y[1])
     axes.set_aspect(1.0 / max(np.cos(np.radians(middle)), 0.2))
