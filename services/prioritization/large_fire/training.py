@@ -11,6 +11,8 @@ import pandas as pd
 from services.prioritization.large_fire import evaluation, features, model, validation
 from shared.errors import DomainError
 
+FEWEST_SCORED = 5
+
 
 @dataclass(frozen=True)
 class Trained:
@@ -40,6 +42,8 @@ def train_and_test(
     fires = validation.checked(table, label, unit, schema, design)
     folds = validation.folds(fires, schema, design, seed)
     tested = _tested(folds, design, first_season)
+    _check_outcomes(fires, folds, "table", "in the seasons or regions that can be scored")
+    _check_outcomes(fires, tested, "first_test_season", f"in the test from '{first_season}' on", fewest=1)
     progress(35, "seasons or regions predicted")
     report = evaluation.evaluate(fires, tested, schema, seed, resamples)
     report["schema"] = schema
@@ -68,3 +72,18 @@ def _tested(folds: list[validation.Fold], design: validation.Design, first_seaso
             accepted=f"a season after {folds[0].name}",
         )
     return usable
+
+
+def _check_outcomes(
+    fires: validation.Table, folds: list[validation.Fold], field: str, where: str, fewest: int = FEWEST_SCORED
+) -> None:
+    """DomainError unless the folds hold enough fires of each kind to calibrate on, or to test."""
+    scored = pd.concat([pd.Series(fires.outcome[fold.now]) for fold in folds])
+    large = int(scored.sum())
+    if not fewest <= large <= len(scored) - fewest:
+        raise DomainError(
+            f"There are {large} large of {len(scored)} fires {where}.",
+            field=field,
+            value=large,
+            accepted=f"{fewest} or more of each kind",
+        )

@@ -67,6 +67,14 @@ def checked(
     labelled = table[table[label].notna() & table[unit].notna()]
     needed = [model.START_INDEX[schema], "temperature_c", "relative_humidity_pct", "wind_speed_m_s"]
     kept = labelled[labelled[needed].notna().all(axis=1)].reset_index(drop=True)
+    wettest = float(kept["relative_humidity_pct"].max()) if len(kept) else 100.0
+    if wettest <= 1:
+        raise DomainError(
+            f"'relative_humidity_pct' never exceeds {wettest:g}; it is probably a fraction.",
+            field="relative_humidity_pct",
+            value=wettest,
+            accepted="0..100 %",
+        )
     y = plain_columns.numbers(kept, label, "label")
     if not np.isin(y, (0, 1)).all():
         raise DomainError(f"Column '{label}' holds more than 0 and 1.", field="label", value=label, accepted="0 or 1")

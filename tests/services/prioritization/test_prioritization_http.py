@@ -201,11 +201,15 @@ FIRES = pd.DataFrame(
         (FIRES.assign(kbdi_mm=800.0), "kbdi_mm"),  # hundredths of an inch
         (FIRES.assign(large="no"), "label"),
         (FIRES, "table"),  # no large fire
+        (FIRES.assign(relative_humidity_pct=0.2), "relative_humidity_pct"),  # a fraction
+        (FIRES.assign(large=np.arange(len(FIRES)) < 12), "table"),  # large ones only where nothing is scored
+        (FIRES.assign(large=np.arange(len(FIRES)) % 80 < 12), "first_test_season"),  # none in the seasons of the test
     ],
 )
 def test_training_tables_that_cannot_teach_are_named(caller, table, field):
     reference = caller.file(table.to_csv(index=False).encode())
-    status, problem = caller.ask("train-large-fire-model", table=reference, label="large")
+    body = {"table": reference, "label": "large", "first_test_season": "2015-16"}
+    status, problem = caller.ask("train-large-fire-model", **body)
     assert (status, problem["field"]) == (422, field)
 
 
