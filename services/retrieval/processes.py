@@ -192,11 +192,11 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
     held = skill.with_intervals(skill.leave_days_out(pairs, resolution_km))
     figure.skill_figure(context.new_file("skill.png"), held, context.product_attributes())
     if raw_if[0] is not None:
-        raw_if[0].save(context.new_file("raw_if_model"), context.product_attributes())
+        raw_if[0].save(context.new_file(raw_if[0].file_name), context.product_attributes())
     return models.TrainSoilMoistureOutputs(
         reference=context.ref("reference.parquet"),
         baseline=context.ref("baseline.parquet"),
-        raw_if_model=None if raw_if[0] is None else context.ref("raw_if_model"),
+        raw_if_model=None if raw_if[0] is None else context.ref(raw_if[0].file_name),
         figure=context.ref("skill.png"),
         report=context.write_json("report.json", report),
         cell_count=len(reference),

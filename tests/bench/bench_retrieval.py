@@ -6,7 +6,7 @@ change against the place's own past, both modes. ``burned_recall_nominal`` and `
 looks of both modes, at 5 % false alarms, by a model trained on nominal looks only and by one trained on both;
 ``texture_gain_*``: relative gain in that recall by texture, within a mode (tests/bench/retrieval/burned_claims.py;
 ``--long`` adds the second case, a day of level-1 and a second of raw-IF). Soil moisture over Texas is real CYGNSS
-against SMAP, each day predicted from the others, beside the cell mean; it needs SMOKEGLINT_DATA and is left out
+against SMAP: days, blocks, seasons held out, beside the cell mean; it needs SMOKEGLINT_DATA and is left out
 without.
 """
 
@@ -33,10 +33,8 @@ from services.retrieval.processes import MODEL_PATH
 from services.retrieval.shipped_model import world_examples
 from services.retrieval.simulation.observations import simulate_nominal
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
-from services.retrieval.soil_moisture.skill import skill_report
 from services.retrieval.texture import quantise, texture
-from tests.bench.retrieval import burned_claims, throughput
-from tests.services.retrieval.texas import texas_pairs
+from tests.bench.retrieval import burned_claims, soil_moisture_trial, throughput
 
 WORLDS = [WorldPlan(7001 + n, 31.0 + 5 * n, -105.0 - 4 * n, first_day="2024-02-10") for n in range(2)]
 
@@ -120,15 +118,19 @@ def measure_long() -> None:
     emit("raw_if_code_phase_error_chips", round(error_chips, 4), "chip", None)
 
 
-def measure_texas() -> None:
-    """Real CYGNSS and SMAP: ubRMSE with each day predicted from the others, and of the cell mean."""
+def measure_soil_moisture() -> None:
+    """Held out on simulation at 9 km (a world and both modes), and on real looks over Texas at 36 km."""
+    reports = soil_moisture_trial.simulated()
+    ways = {"": "leave_a_day_out", "_block_out": "leave_a_block_out", "_forward": "forward_in_time"}
+    for suffix, way in ways.items():
+        coverage = soil_moisture_trial.mean_coverage(reports, "nominal", way, "regression")
+        emit(f"sm_interval90_coverage{suffix}", round(coverage, 3), "1", 0.9)
+    path = "raw_if", "held_out_places_and_dates", "model"
+    emit("sm_interval90_coverage_raw_if", round(soil_moisture_trial.mean_coverage(reports, *path), 3), "1", 0.9)
     folder = os.environ.get("SMOKEGLINT_DATA")
-    if not folder:
-        return
-    report = skill_report(texas_pairs(Path(folder)))
-    emit("sm_ubrmse_texas", round(report["regression"]["ubrmse"], 4), "m3/m3", None)
-    emit("sm_ubrmse_texas_baseline", round(report["cell_mean_baseline"]["ubrmse"], 4), "m3/m3", None)
-    emit("sm_interval90_coverage", round(report["regression"]["interval90_coverage"], 3), "1", 0.9)
+    if folder:
+        for name, value, unit, bar in soil_moisture_trial.texas_figures(Path(folder)):
+            emit(name, round(value, 4), unit, bar)
 
 
 if __name__ == "__main__":
@@ -136,6 +138,6 @@ if __name__ == "__main__":
     measure_model()
     measure_burned()
     measure_claims()
-    measure_texas()
+    measure_soil_moisture()
     if "--long" in sys.argv:
         measure_long()

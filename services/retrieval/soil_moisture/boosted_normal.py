@@ -83,7 +83,7 @@ def fit_boosted_normal(values: FloatArray, departure: FloatArray, seed: int) -> 
     with np.errstate(all="ignore"):
         fill = np.nan_to_num(np.nanmedian(np.where(np.isfinite(values), values, np.nan), axis=0))
     known = np.where(np.isfinite(values), values, fill)
-    base = DecisionTreeRegressor(criterion="friedman_mse", max_depth=DEPTH, min_samples_leaf=20, random_state=seed)
+    base = DecisionTreeRegressor(criterion="squared_error", max_depth=DEPTH, min_samples_leaf=20, random_state=seed)
     settings = {"n_estimators": ROUNDS, "learning_rate": LEARNING_RATE, "minibatch_frac": 1.0, "verbose": False}
     model = NGBRegressor(Dist=Normal, Base=base, random_state=seed, natural_gradient=True, **settings)
     model.fit(known, departure)

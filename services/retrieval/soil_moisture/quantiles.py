@@ -85,6 +85,10 @@ class RawIfModel:
     spread: Spread
     margin: float
 
+    @property
+    def file_name(self) -> str:
+        return "raw_if_model.ubj" if self.method == "cqr" else "raw_if_model.json"
+
     def interval(self, table: pd.DataFrame) -> FloatArray:
         """Lower bound of the 90 % interval, estimate, upper bound of soil moisture (m3/m3, unclipped), (n, 3)."""
         if not len(table):

@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.retrieval.baseline import REFERENCE_INCIDENCE_DEG
-from services.retrieval.soil_moisture.area import area_anomaly
+from services.retrieval.soil_moisture.area import Neighbourhoods, area_anomaly
 from services.retrieval.soil_moisture.conformal import Z90
 from shared.errors import DomainError
 
@@ -117,8 +117,9 @@ def _levels(pairs: pd.DataFrame, mean: _CellMeans, resolution_km: int) -> tuple[
     value = pairs["reflectivity_db"].to_numpy()
     area = np.zeros(len(pairs))
     level = mean.of(value)
+    around = Neighbourhoods(pairs, ["day"], resolution_km)
     for _ in range(BACKFITTING_ROUNDS):
-        area = area_anomaly(pairs.assign(anomaly_db=value - level[mean.cell]), ["day"], resolution_km)
+        area = around.anomaly(value - level[mean.cell])
         level = mean.of(value - area)
     return level, area
 

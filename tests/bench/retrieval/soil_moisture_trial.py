@@ -25,7 +25,7 @@ from services.retrieval.soil_moisture import raw_if_training, skill
 from services.retrieval.soil_moisture.regression import match
 from tests.services.retrieval.texas import texas_pairs
 
-WORLDS = [WorldPlan(7300 + n, 30.0 + 6 * n, -104.0 - 5 * n, days_before=30, days_after=0, fires=0) for n in range(2)]
+WORLDS = [WorldPlan(7300 + n, 30.0 + 6 * n, -104.0 - 5 * n, days_before=30, days_after=0, fires=0) for n in range(1)]
 SMAP_NOISE = 0.03
 RAW_IF_SHARE = 0.06
 
