@@ -9,10 +9,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from services.retrieval.soil_moisture import boosted_normal
 from services.retrieval.soil_moisture.boosted_normal import fit_boosted_normal
 from services.retrieval.soil_moisture.conformal import grouped_quantile, site_folds
 from services.retrieval.soil_moisture.quantiles import FEATURES, load_raw_if, train_raw_if
 from shared.errors import DomainError
+
+
+@pytest.fixture(autouse=True)
+def few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NGBoost takes its time; what is tested does not hang on the number of its rounds."""
+    monkeypatch.setattr(boosted_normal, "ROUNDS", 40)
+    monkeypatch.setattr(boosted_normal, "LEARNING_RATE", 0.15)
 
 
 def _table(sites: int, per_site: int, seed: int) -> tuple[pd.DataFrame, np.ndarray]:
@@ -66,14 +74,18 @@ def test_boosted_normal_in_arrays_equals_ngboost() -> None:
     from ngboost import NGBRegressor
     from sklearn.tree import DecisionTreeRegressor
 
-    from services.retrieval.soil_moisture import boosted_normal as own
-
     rng = np.random.default_rng(5)
     values = rng.standard_normal((400, 4))
     target = values[:, 0] + np.exp(0.4 * values[:, 1]) * rng.standard_normal(400)
-    base = DecisionTreeRegressor(criterion="squared_error", max_depth=own.DEPTH, min_samples_leaf=20, random_state=3)
+    base = DecisionTreeRegressor(
+        criterion="squared_error", max_depth=boosted_normal.DEPTH, min_samples_leaf=20, random_state=3
+    )
     theirs = NGBRegressor(
-        Base=base, n_estimators=own.ROUNDS, learning_rate=own.LEARNING_RATE, random_state=3, verbose=False
+        Base=base,
+        n_estimators=boosted_normal.ROUNDS,
+        learning_rate=boosted_normal.LEARNING_RATE,
+        random_state=3,
+        verbose=False,
     ).fit(values, target)
     mean, sd = fit_boosted_normal(values, target, 3).mean_sd(values)
     expected = theirs.pred_dist(values)
@@ -85,8 +97,8 @@ def test_boosted_normal_in_arrays_equals_ngboost() -> None:
 def test_a_model_comes_back_from_its_file(tmp_path: Path, method: str) -> None:
     table, site = _table(20, 10, 6)
     model = train_raw_if(table, site, method)
-    for name in ("one", "two"):
-        train_raw_if(table, site, method).save(tmp_path / name, {"simulated": True})
+    model.save(tmp_path / "one", {"simulated": True})
+    train_raw_if(table, site, method).save(tmp_path / "two", {"simulated": True})
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
     assert b"simulated" in (tmp_path / "one").read_bytes()
     again = load_raw_if(tmp_path / "one")
