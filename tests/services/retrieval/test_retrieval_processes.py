@@ -10,6 +10,7 @@ import netCDF4
 import numpy as np
 import pandas as pd
 import pytest
+import rasterio
 import xarray as xr
 from matplotlib.image import imread
 
@@ -221,6 +222,19 @@ def test_a_recording_becomes_a_map_that_the_retrieval_reads(root: Path) -> None:
     row = read_table(_local(table["burned_area"]), tables.BURNED_AREA).iloc[0]
     assert row["mode"] == "raw-if" and row.geometry.x == pytest.approx(-118.0, abs=1e-4)
     assert row["time"] == pd.Timestamp("1980-01-06", tz="UTC") + pd.Timedelta(weeks=2209, seconds=432_000 - 18)
+
+
+def test_soil_moisture_comes_as_cog_and_training_as_picture(chain: dict[str, dict[str, Any]]) -> None:
+    with rasterio.open(_local(chain["moisture"]["cog"])) as source:
+        assert source.crs.to_epsg() == 6933 and source.tags()["simulated"] == "true"
+        assert source.descriptions[0].startswith("SM_daily 2023-")
+    table = pd.read_parquet(_local(chain["moisture"]["soil_moisture"]))
+    assert (table["soil_moisture_low"] <= table["soil_moisture"]).all()
+    assert (table["soil_moisture"] <= table["soil_moisture_high"]).all()
+    assert imread(_local(chain["trained"]["figure"])).shape[1] > 800
+    report = json.loads(_local(chain["trained"]["report"]).read_text())
+    assert {"leave_a_day_out", "leave_a_block_out", "forward_in_time", "raw_if"} <= set(report)
+    assert report["raw_if"]["trained"] is False and chain["trained"]["raw_if_model"] is None
 
 
 def test_errors_name_the_field(root: Path, chain: dict[str, dict[str, Any]]) -> None:
