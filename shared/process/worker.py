@@ -13,7 +13,6 @@ from typing import Any
 from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
 from shared.contracts.limits import InputLimits
-from shared.errors import SmokeglintError
 from shared.lifeline import end_with_parent
 from shared.process import execution
 from shared.process.declaration import Process
@@ -79,9 +78,10 @@ def _run(
             outputs = execution.run_step(step, store, settings.service, request["job"], report, settings.limits)
         return {"event": "done", "outputs": outputs, "facts": execution.facts(step, store)}
     except Exception as error:
-        if not isinstance(error, SmokeglintError):
+        found = problem_of(error)
+        if found["status"] >= 500:  # a fault of ours, whose text the client does not see
             logger().error("job failed", process=process.id, job=request["job"], trace=traceback.format_exc())
-        return {"event": "failed", "problem": problem_of(error)}
+        return {"event": "failed", "problem": found}
 
 
 def _send(connection: Connection, message: dict[str, Any]) -> None:

@@ -33,7 +33,7 @@ from services.planning.check.reading import (
 )
 from services.planning.check.sequences import check_sequences
 from services.planning.check.verdict import Verdict, ViolationLog
-from services.planning.check.worth import check_pins, dropped_images, reachable_images, reward
+from services.planning.check.worth import check_pins, dropped_images, images_that_see, reachable_images, reward
 from services.planning.options.rules import OperationRules
 
 
@@ -89,7 +89,8 @@ def replay(
     collected = {row.image for row in rows if row.command == "collect" and row.image is not None}
     reachable = reachable_images(images, first, closed, frozen, horizon_s)
     check_pins(collected, opportunities, images, reachable, rules, log)
-    dropped = dropped_images(commands, images, reachable, before, first)
+    worthwhile = reachable & images_that_see(opportunities, rules)  # giving up what nobody wants loses nothing
+    dropped = dropped_images(commands, images, worthwhile, before, first)
     return Verdict(
         log.ordered(), tuple(sorted(row.image for row in rows if row.command == "collect" and row.image is not None)),
         reward(collected, opportunities, targets, rules), stored, charge, dropped, dropped * rules.change_penalty,

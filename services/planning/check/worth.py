@@ -64,6 +64,12 @@ def reachable_images(
     return found
 
 
+def images_that_see(opportunities: pd.DataFrame, rules: OperationRules) -> set[int]:
+    """Images with a target that nobody excluded."""
+    excluded = [c.target_id for c in rules.target_changes if c.action == "exclude"]
+    return set(opportunities.loc[~opportunities["target_id"].isin(excluded), "image_id"].astype(int))
+
+
 def dropped_images(
     commands: Mapping[str, Mapping[int, Row]], images: Mapping[int, Image], reachable: set[int], kept: Previous,
     first: Mapping[str, float],

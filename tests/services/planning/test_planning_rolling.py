@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.planning.operations import judge, make_plan
-from services.planning.options.rules import OperationRules, Outage
+from services.planning.options.rules import OperationRules, Outage, TargetChange
 from services.planning.planner import Options
 from tests.services.planning.planning_cases import Case, at, random_case
 
@@ -124,3 +124,15 @@ def test_executed_state_carries_over_into_a_later_horizon(seed: int) -> None:
     assert judge(made.schedule, case.tables, later, previous=previous).valid
     assert (made.schedule["start"] >= at(7)).all() if len(made.schedule) else True
     assert (pd.to_datetime(made.changes["start"]) >= at(7)).all()
+
+
+def test_giving_up_what_a_person_excluded_counts_as_no_loss() -> None:
+    """Planner and replay must agree on it, or the plan is not published."""
+    previous = make_plan(CASE.tables, CASE.spacecraft, options=EXACT).schedule
+    collected = set(previous["image_id"].dropna().astype(int))
+    seen = CASE.tables["opportunities"]
+    for target in seen.loc[seen["image_id"].isin(collected), "target_id"].unique():
+        change = TargetChange(int(target), "exclude", "duty officer", "only smoke", at(0))
+        rules = OperationRules(target_changes=(change,))
+        made = make_plan(CASE.tables, CASE.spacecraft, previous=previous, rules=rules, options=EXACT, price=False)
+        assert judge(made.schedule, CASE.tables, CASE.spacecraft, previous=previous, rules=rules).valid
