@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 from flows.cases.bundle import Case
-from flows.cases.hms import closest_pass, read_orbits
+from flows.cases.hms import closest_pass, read_elements
 from flows.cases.known_at import detections_known_at, incidents_known_at, perimeters_known_at, weather_known_at
 from flows.cases.scoring import perimeter_scores, read_arrival
 from shared.contracts import tables
@@ -84,7 +84,7 @@ def test_no_fire_looks_keep_off_whatever_burned_before(black: Case) -> None:
 @needs_data
 def test_tracks_from_the_elements_agree_with_the_minutes_of_hms(black: Case) -> None:
     """HMS times are the start of a granule: the pass must follow within minutes, and within the swath."""
-    satellites = read_orbits(Path(str(DATA)) / "orbits/tle_20220505/viirs_modis.tle")
+    satellites = read_elements(Path(str(DATA)) / "orbits/tle_20220505/viirs_modis.tle")
     detections = read_table(black.path("detections"), tables.DETECTIONS)
     snapshots = detections[~detections.fire].drop_duplicates(["time", "satellite"])
     assert len(snapshots) > 50
