@@ -18,7 +18,7 @@ help: ## this list
 	@grep -hE '^[a-z%-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
 
 $(READY):
-	@echo "Setting up the environment in $(VENV) (once; about 2 minutes and 2 GB: PyTorch, solvers, geodata) ..."
+	@echo "Setting up the environment in $(VENV) (once; about 3 minutes and 3 GB: PyTorch, solvers, geodata) ..."
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or later is needed (PYTHON=...)"; exit 1; }
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	@$(PY) -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) --requirement requirements.lock

@@ -31,7 +31,7 @@ def _tested(table: pd.DataFrame, schema: features.Schema) -> dict[str, object]:
 def skill_of_real_fires(folder: Path) -> Iterator[Metric]:
     """Rolling origin from 2013-14 on, seasons to 2017-18; then US fires, one region left out at a time."""
     table = sources.fire_table(folder / "large_fire" / "victoria_2008_2018.csv.gz")
-    bars = {"auc": 0.86, "mcc": 0.32, "brier_skill": 0.12, "calibration_slope": 1.0}
+    bars = {"auc": 0.86, "mcc": 0.32, "brier_skill": 0.12, "calibration_slope": "0.8-1.2"}
     for schema, suffix in (("full", ""), ("loop", "_loop")):
         result = _tested(table, schema)  # type: ignore[arg-type]
         for name, bar in bars.items():
