@@ -104,7 +104,10 @@ class PlanObservationsInputs(PlanningInputs):
         description="guard, s; a plan that it cuts is marked time_limited and may not repeat exactly",
     )
     work_limit: float = Field(
-        20.0, gt=0, le=10000, description="counted work for large cases, in millions of search moves: repeats exactly"
+        20.0,
+        gt=0,
+        le=10000,
+        description="counted work for large cases, in millions of search steps on each of two threads: repeats exactly",
     )
     active_mandatory: Literal["auto", "true", "false"] = Field(
         "auto", description="observe every active target: auto keeps this while it can hold, true demands it"
