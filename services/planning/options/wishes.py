@@ -130,30 +130,3 @@ def without_change_penalty(problem: PlanningProblem, plain: PlanningProblem) -> 
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
     images = replace(problem.images, start=start, target=problem.images.target[keep])
     return replace(problem, images=images, targets=plain.targets, opportunity_count=plain.opportunity_count)
-
-
-def _check_changes(known: set[int], rules: OperationRules) -> None:
-    actions: dict[int, list[str]] = {}
-    for place, change in enumerate(rules.target_changes):
-        field = f"target_changes[{place}]"
-        if change.action not in ACTIONS:
-            accepted = "|".join(ACTIONS)
-            raise DomainError("unknown action", field=f"{field}.action", value=change.action, accepted=accepted)
-        if change.target_id not in known:
-            raise DomainError(
-                "a change names a target that the targets table lacks", field=f"{field}.target_id",
-                value=change.target_id, accepted="ids of the targets table",
-            )  # fmt: skip
-        if change.action == "reweight" and not (change.priority is not None and 0 <= change.priority < np.inf):
-            raise DomainError(
-                "a re-weighted target needs a reward", field=f"{field}.priority", value=change.priority,
-                accepted="finite, >= 0",
-            )  # fmt: skip
-        own = actions.setdefault(change.target_id, [])
-        if change.action in own or (own and "exclude" in (change.action, *own)):
-            raise DomainError(
-                f"changes of target {change.target_id} contradict each other", field=field,
-                value=" and ".join([*own, change.action]),
-                accepted="one exclude, or one pin and one reweight, a target",
-            )  # fmt: skip
-        own.append(change.action)

@@ -13,30 +13,15 @@ import pytest
 
 from services.retrieval.level1 import read_level1
 from services.retrieval.observation_report import NOMINAL_BYTES_S, RAW_IF_BYTES_S
-from services.retrieval.processes import PROCESSES
 from services.retrieval.raw_if import HEADER, Header, write_recording
 from services.retrieval.simulation.observations import simulate_nominal
-from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables
 from shared.contracts.schema import read_attributes, read_table
 from shared.errors import DomainError
-from shared.process.execution import resolve_step, run_step, validate_inputs
 from tests.services.retrieval import small_world
+from tests.services.retrieval.running import local as _local
+from tests.services.retrieval.running import run as _run
 from tests.services.retrieval.test_retrieval_raw_if import HEAD, _samples
-
-BY_ID = {process.id: process for process in PROCESSES}
-
-
-def _run(root: Path, process: str, **inputs: Any) -> dict[str, Any]:
-    store = ArtifactStore(Roots(str(root)))
-    declared = BY_ID[process]
-    step = resolve_step(declared, validate_inputs(declared, inputs), store, "test")
-    return run_step(step, store, "test", "job", lambda *_: None)
-
-
-def _local(reference: dict[str, Any]) -> Path:
-    return Path(reference["href"].removeprefix("file://"))
 
 
 @pytest.fixture(scope="module")

@@ -15,29 +15,15 @@ import xarray as xr
 from matplotlib.image import imread
 
 from services.retrieval.ease_grid import row_column
-from services.retrieval.processes import PROCESSES
 from services.retrieval.raw_if import Header, write_recording
-from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables
 from shared.contracts.schema import read_table, write_table
 from shared.errors import DomainError
-from shared.process.execution import resolve_step, run_step, validate_inputs
 from tests.services.retrieval import small_world
+from tests.services.retrieval.running import local as _local
+from tests.services.retrieval.running import run as _run
 
-BY_ID = {process.id: process for process in PROCESSES}
 PLAN = small_world.PLAN
-
-
-def _run(root: Path, process: str, **inputs: Any) -> dict[str, Any]:
-    store = ArtifactStore(Roots(str(root)))
-    declared = BY_ID[process]
-    step = resolve_step(declared, validate_inputs(declared, inputs), store, "test")
-    return run_step(step, store, "test", "job", lambda *_: None)
-
-
-def _local(reference: dict[str, Any]) -> Path:
-    return Path(reference["href"].removeprefix("file://"))
 
 
 def _smap(root: Path) -> None:
