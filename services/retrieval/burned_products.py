@@ -11,12 +11,11 @@ import geopandas
 import numpy as np
 import pandas as pd
 import xarray as xr
-from affine import Affine
 from numpy.typing import NDArray
 
 from services.retrieval.burned_area import BurnedModel, confidence
 from services.retrieval.constants import FILL
-from services.retrieval.ease_grid import centre, centre_metres, ease_grid, row_column
+from services.retrieval.ease_grid import cell_coordinates, corner_transform, ease_grid, row_column
 from services.retrieval.products import EASE_CRS
 from shared import figures
 from shared.contracts.cog import write_cog
@@ -85,21 +84,13 @@ def burned_area_grid(table: geopandas.GeoDataFrame, threshold: float) -> xr.Data
 
 
 def _dataset(values: Mapping[str, NDArray], rows: NDArray, columns: NDArray) -> xr.Dataset:
-    x, _ = centre_metres(np.zeros_like(columns), columns, MAP_KM)
-    _, y = centre_metres(rows, np.zeros_like(rows), MAP_KM)
-    latitude, longitude = centre(*np.meshgrid(rows, columns, indexing="ij"), MAP_KM)
     flat = ("y", "x")
     dataset = xr.Dataset(
         {
             name: (flat, data, {"long_name": LAYERS[name][0], "units": LAYERS[name][1], "grid_mapping": "crs"})
             for name, data in values.items()
         },
-        coords={
-            "y": ("y", y, {"standard_name": "projection_y_coordinate", "units": "m"}),
-            "x": ("x", x, {"standard_name": "projection_x_coordinate", "units": "m"}),
-            "latitude": (flat, latitude, {"standard_name": "latitude", "units": "degrees_north"}),
-            "longitude": (flat, longitude, {"standard_name": "longitude", "units": "degrees_east"}),
-        },
+        coords=cell_coordinates(rows, columns, MAP_KM),
         attrs={
             "title": f"Burned area from GNSS reflections, EASE-Grid 2.0 {MAP_KM} km",
             "grid": ease_grid(MAP_KM).name,
@@ -119,9 +110,7 @@ def _dataset(values: Mapping[str, NDArray], rows: NDArray, columns: NDArray) -> 
 
 def write_burned_cog(path: Path, grid: xr.Dataset, attributes: Mapping[str, Any]) -> None:
     """The grid's LAYERS as bands of a Cloud-Optimised GeoTIFF (float32, EPSG:6933), the first row northernmost."""
-    cell = ease_grid(MAP_KM).cell_m
-    corner = float(grid["x"][0]) - cell / 2.0, float(grid["y"][0]) + cell / 2.0
-    transform = Affine(cell, 0.0, corner[0], 0.0, -cell, corner[1])
+    transform = corner_transform(grid, MAP_KM)
     bands = {name: grid[name].to_numpy().astype(np.float32) for name in LAYERS}
     write_cog(path, bands, transform=transform, crs="EPSG:6933", nodata=FILL, attributes=attributes)
 

@@ -6,9 +6,12 @@ Constants: Brodzik et al. 2012 and 2014, ISPRS Int. J. Geo-Inf. 1(1), 32-45; NSI
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
+from rasterio.transform import Affine
 
 from shared.errors import DomainError
 
@@ -100,3 +103,25 @@ def centre_metres(row: NDArray, column: NDArray, resolution_km: int) -> tuple[Fl
     """Projected x, y (m) of cell centres."""
     grid = ease_grid(resolution_km)
     return X_MIN_M + (np.asarray(column) + 0.5) * grid.cell_m, Y_MAX_M - (np.asarray(row) + 0.5) * grid.cell_m
+
+
+def cell_coordinates(rows: NDArray, columns: NDArray, resolution_km: int) -> dict[str, Any]:
+    """CF coordinates of a block of cells: ``y``, ``x`` (m, EPSG:6933) and ``latitude``, ``longitude`` (degrees)."""
+    x, _ = centre_metres(np.zeros_like(columns), columns, resolution_km)
+    _, y = centre_metres(rows, np.zeros_like(rows), resolution_km)
+    latitude, longitude = centre(*np.meshgrid(rows, columns, indexing="ij"), resolution_km)
+    flat = ("y", "x")
+    return {
+        "y": ("y", y, {"standard_name": "projection_y_coordinate", "units": "m"}),
+        "x": ("x", x, {"standard_name": "projection_x_coordinate", "units": "m"}),
+        "latitude": (flat, latitude, {"standard_name": "latitude", "units": "degrees_north"}),
+        "longitude": (flat, longitude, {"standard_name": "longitude", "units": "degrees_east"}),
+    }
+
+
+def corner_transform(grid: xr.Dataset, resolution_km: int) -> Affine:
+    """Affine map from (column, row) of a cell's corner to EPSG:6933, for a grid whose first row is the northernmost."""
+    cell_m = ease_grid(resolution_km).cell_m
+    west = float(grid["x"].to_numpy()[0]) - cell_m / 2.0
+    north = float(grid["y"].to_numpy()[0]) + cell_m / 2.0
+    return Affine(cell_m, 0.0, west, 0.0, -cell_m, north)

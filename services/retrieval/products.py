@@ -10,10 +10,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
-from rasterio.transform import Affine
 
 from services.retrieval.constants import FILL
-from services.retrieval.ease_grid import centre, centre_metres, ease_grid
+from services.retrieval.ease_grid import cell_coordinates, corner_transform, ease_grid
 from shared.contracts.cog import write_cog
 
 EASE_CRS = {
@@ -61,10 +60,7 @@ def _span(index: pd.Series) -> NDArray[np.int64]:
 
 
 def _level3_dataset(values, count, days, rows, columns, resolution_km: int) -> xr.Dataset:
-    x, _ = centre_metres(np.zeros_like(columns), columns, resolution_km)
-    _, y = centre_metres(rows, np.zeros_like(rows), resolution_km)
-    latitude, longitude = centre(*np.meshgrid(rows, columns, indexing="ij"), resolution_km)
-    dims, flat = ("time", "y", "x"), ("y", "x")
+    dims = ("time", "y", "x")
     common = {"units": "1", "grid_mapping": "crs"}
     fill = {"_FillValue": np.float32(FILL)}
     dataset = xr.Dataset(
@@ -74,10 +70,7 @@ def _level3_dataset(values, count, days, rows, columns, resolution_km: int) -> x
         },
         coords={
             "time": ("time", days.astype("datetime64[ns]"), {"standard_name": "time", "long_name": "UTC day"}),
-            "y": ("y", y, {"standard_name": "projection_y_coordinate", "units": "m"}),
-            "x": ("x", x, {"standard_name": "projection_x_coordinate", "units": "m"}),
-            "latitude": (flat, latitude, {"standard_name": "latitude", "units": "degrees_north"}),
-            "longitude": (flat, longitude, {"standard_name": "longitude", "units": "degrees_east"}),
+            **cell_coordinates(rows, columns, resolution_km),
         },
         attrs={
             "title": f"Soil moisture from GNSS reflectivity, daily, EASE-Grid 2.0 {resolution_km} km",
@@ -100,13 +93,10 @@ def write_level3_cog(path: Path, grid: xr.Dataset, attributes: Mapping[str, Any]
     """The grid of ``level3_grid`` as a COG in EPSG:6933: bands ``SM_daily``, ``SIGMA_daily`` and ``count`` of each day,
     the day after the name (``SM_daily 2024-03-01``), float32, -9999 where there is none.
     """
-    cell_m = ease_grid(9 if grid.attrs["grid"] == ease_grid(9).name else 36).cell_m
-    west = float(grid["x"].to_numpy()[0]) - cell_m / 2.0
-    north = float(grid["y"].to_numpy()[0]) + cell_m / 2.0
+    transform = corner_transform(grid, 9 if grid.attrs["grid"] == ease_grid(9).name else 36)
     bands = {
         f"{name} {np.datetime_as_string(day, unit='D')}": grid[name].to_numpy()[index].astype(np.float32)
         for index, day in enumerate(grid["time"].to_numpy())
         for name in ("SM_daily", "SIGMA_daily", "count")
     }
-    transform = Affine(cell_m, 0.0, west, 0.0, -cell_m, north)
     write_cog(path, bands, transform=transform, crs="EPSG:6933", nodata=FILL, attributes=attributes)
