@@ -25,6 +25,17 @@ X_MIN_M, Y_MAX_M = -17367530.44516138, 7314540.83
 _E2 = ECCENTRICITY**2
 _K0 = np.cos(np.deg2rad(STANDARD_PARALLEL_DEG)) / np.sqrt(1.0 - _E2 * np.sin(np.deg2rad(STANDARD_PARALLEL_DEG)) ** 2)
 
+EASE_CRS = {
+    "grid_mapping_name": "lambert_cylindrical_equal_area",
+    "standard_parallel": 30.0,
+    "longitude_of_central_meridian": 0.0,
+    "false_easting": 0.0,
+    "false_northing": 0.0,
+    "semi_major_axis": 6378137.0,
+    "inverse_flattening": 298.257223563,
+    "epsg_code": "EPSG:6933",
+}
+
 
 @dataclass(frozen=True)
 class EaseGrid:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from services.retrieval.ancillary.burned_rasters import BurnedRaster
-    from services.retrieval.features import Observations
+    from services.retrieval.looks.features import Observations
 
 
 def looks_with_ancillary(inputs: models.AncillaryInputs, context: JobContext) -> Observations:
@@ -37,8 +37,8 @@ def looks_with_ancillary(inputs: models.AncillaryInputs, context: JobContext) ->
 
 def read_looks(inputs: models.ObservedInputs, context: JobContext) -> Observations:
     """All usable looks of the input files within the input's times; marks the step simulated where a file is."""
-    from services.retrieval.features import read_observations
-    from services.retrieval.level1 import is_simulated
+    from services.retrieval.level1.reader import is_simulated
+    from services.retrieval.looks.features import read_observations
 
     paths = [context.path(reference) for reference in inputs.observations]
     if not context.product.simulated and any(is_simulated(path) for path in paths):
@@ -49,7 +49,7 @@ def read_looks(inputs: models.ObservedInputs, context: JobContext) -> Observatio
 
 def looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[str, Any]:
     """The product attributes of a file made from the observations alone: theirs, and what the files say themselves."""
-    from services.retrieval.level1 import is_simulated
+    from services.retrieval.level1.reader import is_simulated
 
     attributes = context.product_attributes(inputs.observations)
     share = sum(is_simulated(context.path(reference)) for reference in inputs.observations) / len(inputs.observations)

@@ -61,9 +61,10 @@ def retrieve_burned_area(
     inputs: models.RetrieveBurnedAreaInputs, context: JobContext
 ) -> models.RetrieveBurnedAreaOutputs:
     """Burned probability of every usable look."""
-    from services.retrieval import burned_area, burned_products
-    from services.retrieval.observation_report import observation_report, screening_attribute
-    from services.retrieval.perimeters import read_perimeters
+    from services.retrieval.burned_area import model as burned_area
+    from services.retrieval.burned_area import products as burned_products
+    from services.retrieval.burned_area.perimeters import read_perimeters
+    from services.retrieval.looks.observation_report import observation_report, screening_attribute
     from shared.contracts import schema, tables
 
     seen = files.looks_with_ancillary(inputs, context)
@@ -101,7 +102,7 @@ def _burned_maps(
     context: JobContext,
 ) -> dict[str, ArtifactRef]:
     """The EASE-Grid map (netCDF, COG), the GeoJSON and the picture, by output name."""
-    from services.retrieval import burned_products
+    from services.retrieval.burned_area import products as burned_products
     from shared.contracts.grids import write_netcdf
 
     grid = burned_products.burned_area_grid(table, threshold)
@@ -119,9 +120,8 @@ def retrieve_soil_moisture(
     inputs: models.RetrieveSoilMoistureInputs, context: JobContext
 ) -> models.RetrieveSoilMoistureOutputs:
     """Daily soil moisture of the reference's cells."""
-    from services.retrieval import products
-    from services.retrieval.observation_report import observation_report, screening_attribute
-    from services.retrieval.soil_moisture import quantiles, regression
+    from services.retrieval.looks.observation_report import observation_report, screening_attribute
+    from services.retrieval.soil_moisture import level3, quantiles, regression
     from shared.contracts import schema, tables
     from shared.contracts.grids import write_netcdf
 
@@ -131,11 +131,11 @@ def retrieve_soil_moisture(
     model = None if inputs.raw_if_model is None else quantiles.load_raw_if(context.path(inputs.raw_if_model))
     table, counts = regression.retrieve(seen.looks, reference, None if model is None else model.interval)
     resolution_km = regression.grid_of(reference)
-    grid = products.level3_grid(table, resolution_km)
+    grid = level3.level3_grid(table, resolution_km)
     attributes = context.product_attributes() | screening_attribute(seen)
     schema.write_table(context.new_file("soil_moisture.parquet"), table, tables.SOIL_MOISTURE, attributes)
     write_netcdf(context.new_file("soil_moisture.nc"), grid, attributes)
-    products.write_level3_cog(context.new_file("soil_moisture.tif"), grid, attributes)
+    level3.write_level3_cog(context.new_file("soil_moisture.tif"), grid, attributes)
     raw_if = "regression" if model is None else model.method
     settings = {"cell_days": len(table), "resolution_km": resolution_km, "raw_if_by": raw_if}
     return models.RetrieveSoilMoistureOutputs(
@@ -149,8 +149,8 @@ def retrieve_soil_moisture(
 
 def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext) -> models.TrainBurnedAreaOutputs:
     """Train on some places and times, calibrate on others."""
-    from services.retrieval import training
-    from services.retrieval.observation_report import observation_report, screening_attribute
+    from services.retrieval.burned_area import training
+    from services.retrieval.looks.observation_report import observation_report, screening_attribute
 
     seen = files.looks_with_ancillary(inputs, context)
     places = None if inputs.labels is None else training.read_labels(context.path(inputs.labels))
@@ -170,8 +170,8 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
 
 def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobContext) -> models.TrainSoilMoistureOutputs:
     """Fit the regression of every cell and the raw-IF model, and keep the pre-fire reflectivities."""
-    from services.retrieval import baseline
-    from services.retrieval.observation_report import observation_report, screening_attribute
+    from services.retrieval.looks import baseline
+    from services.retrieval.looks.observation_report import observation_report, screening_attribute
     from services.retrieval.soil_moisture import figure, raw_if_training, regression, skill
 
     seen = files.read_looks(inputs, context)
@@ -205,8 +205,8 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
 
 def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.ComputeDdmOutputs:
     """Acquire the reflection and write its 69 x 111 map as a level-1 file of one sample."""
-    from services.retrieval import acquisition, ddm_product
-    from services.retrieval.raw_if import read_recording
+    from services.retrieval.raw_if import acquisition, ddm_product
+    from services.retrieval.raw_if.recording import read_recording
 
     recording = read_recording(context.path(inputs.recording))
     context.progress(10, "acquisition")
@@ -231,8 +231,8 @@ def _process(run: Any, identifier: str, title: str, description: str, model_vers
 
 # Imported by a worker before its first job; the HTTP side stays light.
 WARM_MODULES = (
-    "services.retrieval.burned_area",
-    "services.retrieval.products",
+    "services.retrieval.burned_area.model",
+    "services.retrieval.soil_moisture.level3",
     "services.retrieval.soil_moisture.regression",
     "services.retrieval.simulation.observations",
     "shared.contracts.tables",

@@ -28,12 +28,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from services.retrieval.burned_area import FEATURES, auc, load_model, train
+from services.retrieval.burned_area.model import FEATURES, auc, load_model, train
+from services.retrieval.burned_area.shipped_model import world_examples
+from services.retrieval.looks.texture import quantise, texture
 from services.retrieval.processes import MODEL_PATH
-from services.retrieval.shipped_model import world_examples
 from services.retrieval.simulation.observations import simulate_nominal
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
-from services.retrieval.texture import quantise, texture
 from tests.bench.retrieval import burned_claims, soil_moisture_trial, throughput
 
 WORLDS = [WorldPlan(7001 + n, 31.0 + 5 * n, -105.0 - 4 * n, first_day="2024-02-10") for n in range(2)]

@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.retrieval.ancillary.rasters import open_raster, sample
-from services.retrieval.labels import BURNED, EARTH_RADIUS_M, UNBURNED, UNKNOWN
+from services.retrieval.burned_area.labels import BURNED, EARTH_RADIUS_M, UNBURNED, UNKNOWN
 from shared.errors import DomainError
 
 DAY = np.timedelta64(86_400_000, "ms")

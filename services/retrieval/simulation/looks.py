@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from services.retrieval.level1_file import CHANNELS
+from services.retrieval.level1.writer import CHANNELS
 
 METRICS = ["satellite", "transmitter", "time", "incidence_deg", "rx_gain_dbi", "rx_range_m", "tx_range_m"]
 

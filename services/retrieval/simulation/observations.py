@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from services.retrieval.level1_file import COUNTS_OF_NOISE, MapLayout, write_level1
+from services.retrieval.level1.writer import COUNTS_OF_NOISE, MapLayout, write_level1
 from services.retrieval.simulation.ambiguity import NOMINAL, RAW_IF, MapGrid
 from services.retrieval.simulation.footprint import Strength, strengths, track_bearing_deg
 from services.retrieval.simulation.looks import looks_table, nominal_looks, raw_if_looks

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from services.retrieval.burn_grid import burn_times
+from services.retrieval.ancillary.burn_grid import burn_times
 from shared.errors import DomainError
 
 FloatArray = NDArray[np.float64]

@@ -17,7 +17,7 @@ import pandas as pd
 import xgboost as xgb
 from numpy.typing import NDArray
 
-from services.retrieval.features import SHAPE_FEATURES, STRENGTH_FEATURES, TEXTURE_FEATURES
+from services.retrieval.looks.features import SHAPE_FEATURES, STRENGTH_FEATURES, TEXTURE_FEATURES
 from services.retrieval.soil_moisture.boosted_normal import BoostedNormal, fit_boosted_normal
 from services.retrieval.soil_moisture.conformal import grouped_quantile, site_folds
 from services.retrieval.ubj import is_whole_object

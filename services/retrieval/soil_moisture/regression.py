@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from services.retrieval.baseline import REFERENCE_INCIDENCE_DEG
+from services.retrieval.looks.baseline import REFERENCE_INCIDENCE_DEG
 from services.retrieval.soil_moisture.area import Neighbourhoods, area_anomaly
 from services.retrieval.soil_moisture.conformal import Z90
 from shared.errors import DomainError

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from services.retrieval.baseline import incidence_slope
+from services.retrieval.looks.baseline import incidence_slope
 from services.retrieval.soil_moisture.conformal import COVERAGE, Z90
 from services.retrieval.soil_moisture.regression import CELL, LIMITS, MIN_SD, fit_cells, match, on_grid, predict
 

@@ -19,10 +19,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.retrieval.ancillary.layers import ANCILLARY_FEATURES
-from services.retrieval.baseline import CHANGE_FEATURES
-from services.retrieval.burned_area import FEATURES, auc, train
-from services.retrieval.features import TEXTURE_FEATURES
-from services.retrieval.shipped_model import Examples, gather
+from services.retrieval.burned_area.model import FEATURES, auc, train
+from services.retrieval.burned_area.shipped_model import Examples, gather
+from services.retrieval.looks.baseline import CHANGE_FEATURES
+from services.retrieval.looks.features import TEXTURE_FEATURES
 from services.retrieval.simulation.training_world import WorldPlan
 
 TRAINING = [WorldPlan(6100 + n, 33.0 + 0.9 * n, -120.0 + 4.0 * n, first_day="2021-06-01") for n in range(6)]

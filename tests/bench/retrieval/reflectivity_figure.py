@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from services.retrieval.constants import BOLTZMANN_J_K
-from services.retrieval.features import read_observations
-from services.retrieval.land_screening import LandLimits
-from services.retrieval.reflectivity import reflectivity_db
+from services.retrieval.level1.land_screening import LandLimits
+from services.retrieval.level1.reflectivity import reflectivity_db
+from services.retrieval.looks.features import read_observations
 from services.retrieval.simulation.observations import simulate_nominal
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
 from shared import figures

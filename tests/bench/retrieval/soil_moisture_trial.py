@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from services.retrieval.ease_grid import row_column
-from services.retrieval.features import read_observations
+from services.retrieval.looks.features import read_observations
 from services.retrieval.simulation.observations import simulate_nominal, simulate_raw_if
 from services.retrieval.simulation.surface import Surface
 from services.retrieval.simulation.training_world import (

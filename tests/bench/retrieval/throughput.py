@@ -10,11 +10,11 @@ from pathlib import Path
 import netCDF4
 import numpy as np
 
-from services.retrieval.acquisition import delay_doppler_map
-from services.retrieval.ca_code import replica
 from services.retrieval.constants import CODE_RATE_HZ, GPS_L1_HZ, SAMPLING_HZ
-from services.retrieval.features import read_observations
-from services.retrieval.raw_if import Header, read_recording, write_recording
+from services.retrieval.looks.features import read_observations
+from services.retrieval.raw_if.acquisition import delay_doppler_map
+from services.retrieval.raw_if.ca_code import replica
+from services.retrieval.raw_if.recording import Header, read_recording, write_recording
 from services.retrieval.simulation.observations import simulate_nominal
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
 

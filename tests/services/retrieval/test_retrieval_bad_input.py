@@ -11,17 +11,17 @@ import netCDF4
 import numpy as np
 import pytest
 
-from services.retrieval.level1 import read_level1
-from services.retrieval.observation_report import NOMINAL_BYTES_S, RAW_IF_BYTES_S
-from services.retrieval.raw_if import HEADER, Header, write_recording
+from services.retrieval.level1.reader import read_level1
+from services.retrieval.looks.observation_report import NOMINAL_BYTES_S, RAW_IF_BYTES_S
+from services.retrieval.raw_if.recording import HEADER, Header, write_recording
 from services.retrieval.simulation.observations import simulate_nominal
 from shared.contracts import tables
 from shared.contracts.schema import read_attributes, read_table
 from shared.errors import DomainError
 from tests.services.retrieval import small_world
+from tests.services.retrieval.raw_if.test_retrieval_raw_if import HEAD, _samples
 from tests.services.retrieval.running import local as _local
 from tests.services.retrieval.running import run as _run
-from tests.services.retrieval.test_retrieval_raw_if import HEAD, _samples
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import xarray as xr
 from matplotlib.image import imread
 
 from services.retrieval.ease_grid import row_column
-from services.retrieval.raw_if import Header, write_recording
+from services.retrieval.raw_if.recording import Header, write_recording
 from shared.contracts import tables
 from shared.contracts.schema import read_table, write_table
 from shared.errors import DomainError
@@ -191,7 +191,7 @@ def test_an_own_model_can_be_trained_and_used(root: Path, chain: dict[str, dict[
 
 
 def test_a_recording_becomes_a_map_that_the_retrieval_reads(root: Path) -> None:
-    from tests.services.retrieval.test_retrieval_raw_if import HEAD, _samples
+    from tests.services.retrieval.raw_if.test_retrieval_raw_if import HEAD, _samples
 
     assert isinstance(HEAD, Header)
     write_recording(root / "in/recording.bin", HEAD, _samples(8, 0.15, 400.25, 1730.0))

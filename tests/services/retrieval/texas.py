@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from services.retrieval.baseline import incidence_slope
 from services.retrieval.constants import BOLTZMANN_J_K
 from services.retrieval.ease_grid import row_column
-from services.retrieval.reflectivity import reflectivity_db
+from services.retrieval.level1.reflectivity import reflectivity_db
+from services.retrieval.looks.baseline import incidence_slope
 from services.retrieval.soil_moisture.regression import match
 
 NOISE_W = BOLTZMANN_J_K * 550.0 * 1000.0  # the file holds SNR, not power: power is taken as SNR times kTB

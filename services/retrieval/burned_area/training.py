@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from services.retrieval.ancillary.burned_rasters import BurnedRaster, label_by_rasters
 from services.retrieval.ancillary.layers import ANCILLARY_FEATURES
-from services.retrieval.burned_area import FEATURES, BurnedModel, auc, feature_table, train
-from services.retrieval.labels import BURNED, UNBURNED, UNKNOWN, label_looks, labels_from_grid
+from services.retrieval.burned_area.labels import BURNED, UNBURNED, UNKNOWN, label_looks, labels_from_grid
+from services.retrieval.burned_area.model import FEATURES, BurnedModel, auc, feature_table, train
 from shared.errors import DomainError
 
 BLOCK_DEG = 1.0

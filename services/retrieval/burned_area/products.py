@@ -13,10 +13,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from services.retrieval.burned_area import BurnedModel, confidence
+from services.retrieval.burned_area.model import BurnedModel, confidence
 from services.retrieval.constants import FILL
-from services.retrieval.ease_grid import cell_coordinates, corner_transform, ease_grid, row_column
-from services.retrieval.products import EASE_CRS
+from services.retrieval.ease_grid import EASE_CRS, cell_coordinates, corner_transform, ease_grid, row_column
 from shared import figures
 from shared.contracts.cog import write_cog
 

@@ -1,4 +1,4 @@
-"""Make the shipped burned-area model and its card: ``python -m services.retrieval.shipped_model``.
+"""Make the shipped burned-area model and its card: ``python -m services.retrieval.burned_area.shipped_model``.
 
 No labelled delay-Doppler maps are public, so the model learns from simulated worlds. Worlds are split by region and
 time: some train, others calibrate, others again (elsewhere and later) are only scored. Baseline, training and scored
@@ -17,10 +17,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.retrieval.ancillary.layers import Layers, with_ancillary
-from services.retrieval.baseline import CHANGE_FEATURES, build_baseline
-from services.retrieval.burned_area import FEATURES, BurnedModel, auc, feature_table, train
-from services.retrieval.features import TEXTURE_FEATURES, read_observations
-from services.retrieval.labels import BURNED, UNKNOWN, label_looks, labels_table
+from services.retrieval.burned_area.labels import BURNED, UNKNOWN, label_looks, labels_table
+from services.retrieval.burned_area.model import FEATURES, BurnedModel, auc, feature_table, train
+from services.retrieval.looks.baseline import CHANGE_FEATURES, build_baseline
+from services.retrieval.looks.features import TEXTURE_FEATURES, read_observations
 from services.retrieval.simulation.observations import simulate_nominal, simulate_raw_if
 from services.retrieval.simulation.training_world import (
     DAY_MS,
@@ -31,7 +31,7 @@ from services.retrieval.simulation.training_world import (
     make_surface,
 )
 
-MODEL_PATH = Path(__file__).parent / "models" / "burned_area.ubj"
+MODEL_PATH = Path(__file__).parents[1] / "models" / "burned_area.ubj"
 CARD_PATH = MODEL_PATH.with_suffix(".md")
 RAW_IF_SHARE = 0.15  # of the satellite-seconds after the ignitions
 UNBURNED_LEAD_DAYS = 3  # days before the ignitions kept out of the baseline and used as unburned looks
@@ -176,7 +176,7 @@ CARD = """# Burned-area model
 well it does on real ones.
 
 XGBoost, {features} features, {size:.2f} MiB UBJ, calibrated by a logistic curve on worlds of its own. Made by
-`python -m services.retrieval.shipped_model`, which writes this card too.
+`python -m services.retrieval.burned_area.shipped_model`, which writes this card too.
 
 - Training: {worlds[0]} worlds, {sizes[0]}
 - Calibration and threshold: {worlds[1]} other worlds, {sizes[1]}

@@ -1,4 +1,4 @@
-"""What leaves the retrieval: the level-3 soil-moisture grid, and the report on what was seen."""
+"""What leaves the soil-moisture retrieval: the level-3 grid, as CF netCDF and COG."""
 
 from __future__ import annotations
 
@@ -12,19 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from services.retrieval.constants import FILL
-from services.retrieval.ease_grid import cell_coordinates, corner_transform, ease_grid
+from services.retrieval.ease_grid import EASE_CRS, cell_coordinates, corner_transform, ease_grid
 from shared.contracts.cog import write_cog
-
-EASE_CRS = {
-    "grid_mapping_name": "lambert_cylindrical_equal_area",
-    "standard_parallel": 30.0,
-    "longitude_of_central_meridian": 0.0,
-    "false_easting": 0.0,
-    "false_northing": 0.0,
-    "semi_major_axis": 6378137.0,
-    "inverse_flattening": 298.257223563,
-    "epsg_code": "EPSG:6933",
-}
 
 
 def level3_grid(table: pd.DataFrame, resolution_km: int = 9) -> xr.Dataset:

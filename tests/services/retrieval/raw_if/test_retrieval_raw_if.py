@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.retrieval.acquisition import DELAYS, DOPPLERS, acquire, delay_doppler_map
-from services.retrieval.ca_code import chips, replica
 from services.retrieval.constants import CODE_RATE_HZ, GPS_L1_HZ
-from services.retrieval.raw_if import HEADER, Header, read_recording, write_recording
+from services.retrieval.raw_if.acquisition import DELAYS, DOPPLERS, acquire, delay_doppler_map
+from services.retrieval.raw_if.ca_code import chips, replica
+from services.retrieval.raw_if.recording import HEADER, Header, read_recording, write_recording
 from shared.errors import DomainError
 
 RATE_HZ = 16_036_200.0

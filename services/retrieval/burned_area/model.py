@@ -14,8 +14,8 @@ import xgboost as xgb
 from numpy.typing import NDArray
 
 from services.retrieval.ancillary.layers import ANCILLARY_FEATURES
-from services.retrieval.baseline import CHANGE_FEATURES, change_features
-from services.retrieval.features import SHAPE_FEATURES, STRENGTH_FEATURES, TEXTURE_FEATURES
+from services.retrieval.looks.baseline import CHANGE_FEATURES, change_features
+from services.retrieval.looks.features import SHAPE_FEATURES, STRENGTH_FEATURES, TEXTURE_FEATURES
 from services.retrieval.ubj import is_whole_object
 from shared.errors import DomainError
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from services.retrieval.acquisition import DELAYS, DOPPLER_STEP_HZ, DOPPLERS, DelayDopplerMap
 from services.retrieval.constants import BOLTZMANN_J_K, CODE_RATE_HZ, FILL
-from services.retrieval.level1_file import COUNTS_OF_NOISE, MapLayout, write_level1
-from services.retrieval.observation_report import NOMINAL_BYTES_S
-from services.retrieval.raw_if import HEADER, Header, Recording
+from services.retrieval.level1.writer import COUNTS_OF_NOISE, MapLayout, write_level1
+from services.retrieval.looks.observation_report import NOMINAL_BYTES_S
+from services.retrieval.raw_if.acquisition import DELAYS, DOPPLER_STEP_HZ, DOPPLERS, DelayDopplerMap
+from services.retrieval.raw_if.recording import HEADER, Header, Recording
 from shared.errors import DomainError
 
 GPS_EPOCH_MS = int(np.datetime64("1980-01-06", "ms").astype(np.int64))

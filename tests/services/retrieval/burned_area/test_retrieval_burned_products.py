@@ -16,7 +16,7 @@ import xarray as xr
 from matplotlib.image import imread
 from rasterio.transform import from_origin
 
-from services.retrieval.burned_area import FEATURES, load_model
+from services.retrieval.burned_area.model import FEATURES, load_model
 from services.retrieval.ease_grid import row_column
 from shared.contracts import tables
 from shared.contracts.cog import read_cog

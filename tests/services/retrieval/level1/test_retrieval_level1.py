@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from services.retrieval.constants import WAVELENGTH_M
-from services.retrieval.features import read_observations
-from services.retrieval.land_screening import LandLimits, screen_land
-from services.retrieval.level1 import is_simulated, read_level1
-from services.retrieval.reflectivity import footprint_m, reflectivity_db
+from services.retrieval.level1.land_screening import LandLimits, screen_land
+from services.retrieval.level1.reader import is_simulated, read_level1
+from services.retrieval.level1.reflectivity import footprint_m, reflectivity_db
+from services.retrieval.looks.features import read_observations
 from services.retrieval.simulation.observations import Simulated, simulate_nominal, simulate_raw_if
 from shared.errors import DomainError
 from tests.services.retrieval import small_world

@@ -14,9 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from services.retrieval.ca_code import replica
 from services.retrieval.constants import CODE_LENGTH_CHIPS, CODE_RATE_HZ, GPS_L1_HZ
-from services.retrieval.raw_if import Recording
+from services.retrieval.raw_if.ca_code import replica
+from services.retrieval.raw_if.recording import Recording
 from shared.errors import DomainError
 
 FloatArray = NDArray[np.float64]

@@ -17,8 +17,8 @@ from services.retrieval.ancillary.burned_rasters import BurnedRaster, burn_times
 from services.retrieval.ancillary.layers import Layers, terrain, with_ancillary
 from services.retrieval.ancillary.rasters import TILE, interpolate, open_raster, sample
 from services.retrieval.ancillary.smap import latest_before, read_smap
+from services.retrieval.burned_area.labels import BURNED, UNBURNED, UNKNOWN
 from services.retrieval.ease_grid import centre, row_column
-from services.retrieval.labels import BURNED, UNBURNED, UNKNOWN
 from shared.errors import DomainError
 
 SINUSOIDAL = "+proj=sinu +lon_0=0 +x_0=0 +y_0=0 +R=6371007.181 +units=m +no_defs"

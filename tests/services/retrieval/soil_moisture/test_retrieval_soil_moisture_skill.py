@@ -12,7 +12,7 @@ import rasterio
 
 from services.retrieval.ancillary.smap import read_smap
 from services.retrieval.ease_grid import centre, ease_grid
-from services.retrieval.products import level3_grid, write_level3_cog
+from services.retrieval.soil_moisture.level3 import level3_grid, write_level3_cog
 from services.retrieval.soil_moisture.regression import fit_cells, on_grid, predict, retrieve
 from services.retrieval.soil_moisture.skill import evaluate, interval_factor, leave_blocks_out, train_reference
 from shared.errors import DomainError

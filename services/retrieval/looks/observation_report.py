@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from services.retrieval.constants import SAMPLING_HZ
-from services.retrieval.features import Observations
+from services.retrieval.looks.features import Observations
 
 RAW_IF_CHANNELS, SAMPLES_PER_BYTE = 3, 4  # zenith, starboard, port
 RAW_IF_BYTES_S = SAMPLING_HZ * RAW_IF_CHANNELS / SAMPLES_PER_BYTE  # 12.03 MB of a satellite-second

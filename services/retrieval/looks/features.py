@@ -12,10 +12,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from services.retrieval.ease_grid import row_column
-from services.retrieval.land_screening import LandLimits, screen_land
-from services.retrieval.level1 import Chunk, read_level1
-from services.retrieval.reflectivity import footprint_m, reflectivity_db
-from services.retrieval.texture import PROPERTIES, quantise, texture
+from services.retrieval.level1.land_screening import LandLimits, screen_land
+from services.retrieval.level1.reader import Chunk, read_level1
+from services.retrieval.level1.reflectivity import footprint_m, reflectivity_db
+from services.retrieval.looks.texture import PROPERTIES, quantise, texture
 from shared.fan_out import fan_out
 
 LOOK_S = {"nominal": 0.5, "raw-if": 1.0}

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from services.retrieval.constants import CODE_RATE_HZ, SAMPLING_HZ
-from services.retrieval.features import read_observations
+from services.retrieval.looks.features import read_observations
 from services.retrieval.simulation.ambiguity import NOMINAL, RAW_IF, ambiguity, covariance_roots, fine_axes
 from services.retrieval.simulation.dielectric import soil_permittivity, soil_reflectivity, water_reflectivity
 from services.retrieval.simulation.footprint import Strength

@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from services.retrieval.burn_grid import burn_times
+from services.retrieval.ancillary.burn_grid import burn_times
 from shared.errors import DomainError
 
 EARTH_RADIUS_M = 6_371_000.0

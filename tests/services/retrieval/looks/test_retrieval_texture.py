@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from skimage.feature import graycomatrix, graycoprops
 
-from services.retrieval.features import SHAPE_FEATURES, shape_features, texture_features
-from services.retrieval.texture import LEVELS, quantise, texture
+from services.retrieval.looks.features import SHAPE_FEATURES, shape_features, texture_features
+from services.retrieval.looks.texture import LEVELS, quantise, texture
 
 
 def _scikit(grey: np.ndarray) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Burned area: labels, training, the classifier, its products."""

@@ -1,0 +1,1 @@
+"""CYGNSS level-1 files: reader, writer, screening over land, reflectivity."""

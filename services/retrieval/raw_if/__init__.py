@@ -1,0 +1,1 @@
+"""Raw-IF recordings: samples, C/A codes, acquisition, delay-Doppler map."""
