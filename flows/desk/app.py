@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import pandas as pd
 from fastapi import Depends, FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -34,6 +35,14 @@ from shared.versions import RELEASE
 _PAGES = Environment(
     loader=FileSystemLoader(Path(__file__).parent / "templates"), autoescape=True, undefined=StrictUndefined
 )
+
+
+def _utc(moment: str) -> str:
+    """A moment as people read it: 2025-09-02 13:03 UTC."""
+    return f"{pd.Timestamp(moment).tz_convert('UTC'):%Y-%m-%d %H:%M} UTC" if moment else ""
+
+
+_PAGES.filters["utc"] = _utc
 
 
 class DecisionBody(BaseModel):

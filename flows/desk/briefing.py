@@ -16,6 +16,10 @@ from shared.artifacts.manifest import Manifest
 from shared.errors import DomainError
 
 PICTURES = (".png", ".gif")
+TILES_FOR_PROGRAMS = "wrfxweb_"
+"""Bare map tiles of the wrfxweb manifest, without axes or legend: nothing to look at by themselves."""
+FIRST_PICTURES = ("situation", "plan-observations", "rate-prefire-danger", "retrieve-burned-area")
+"""Steps whose pictures come first; the situation map stands above all else."""
 Steps = Mapping[str, Manifest]
 
 
@@ -30,7 +34,7 @@ class Briefing:
     fires: list[dict[str, Any]]
     changes: list[str]
     products: list[dict[str, Any]]
-    pictures: list[str]
+    pictures: list[tuple[str, str]]
     decisions: list[str]
 
 
@@ -52,9 +56,24 @@ def briefing(root: Path, case: str, cycle: str) -> Briefing:
         _fires(root, steps),
         _changes(root, steps, cycles[earlier[-1]] if earlier else {}),
         [_product(manifest) for _, manifest in sorted(steps.items())],
-        [_path(m, name) for _, m in sorted(steps.items()) for name in sorted(m.files) if name.endswith(PICTURES)],
+        _pictures(steps),
         [f"{d.at:%Y-%m-%d %H:%M} {d.who}: {d.action} {d.target_id or ''} ({d.why})" for d in log if d.holds_in(cycle)],
     )
+
+
+def _pictures(steps: Steps) -> list[tuple[str, str]]:
+    """(title, path) of everything that a person can look at: maps before moving pictures, in order of use."""
+    order = {step: rank for rank, step in enumerate(FIRST_PICTURES)}
+    found = [
+        ((name.endswith(".gif"), order.get(step, len(order)), step, name), manifest)
+        for step, manifest in steps.items()
+        for name in manifest.files
+        if name.endswith(PICTURES) and not name.startswith(TILES_FOR_PROGRAMS)
+    ]
+    return [
+        (f"{step}: {Path(name).stem.replace('_', ' ')}", _path(manifest, name))
+        for (*_, step, name), manifest in sorted(found, key=lambda pair: pair[0])
+    ]
 
 
 def _path(manifest: Manifest, name: str) -> str:
@@ -94,7 +113,10 @@ def _fires(root: Path, steps: Steps) -> list[dict[str, Any]]:
     targets = _read_table(root, steps, "build-targets", "targets.parquet")
     listed = _read_json(root, steps, "build-targets").get("fires", [])
     if outcomes is None or targets is None:
-        return [{"name": fire["name"], "why": fire["reason"], "planned": "", "missing": []} for fire in listed]
+        return [
+            {"name": fire["name"], "why": fire["reason"], "changed": "", "planned": "", "missing": []}
+            for fire in listed
+        ]
     joined = targets.merge(outcomes, on="target_id", how="left", suffixes=("", "_outcome"))
     return [_fire(fire, joined[joined["source"] == f"incident:{fire['incident_id']}"]) for fire in listed]
 
@@ -103,10 +125,10 @@ def _fire(fire: Mapping[str, Any], own: pd.DataFrame) -> dict[str, Any]:
     planned = own["observed"].fillna(False).astype(bool)
     reasons = own.loc[~planned, "reason"].fillna("not known to the plan").value_counts()
     missing = [f"{count}: {reason}" for reason, count in reasons.items()]
-    changed = fire.get("changed") or fire.get("change") or ""
+    changed = str(fire.get("changed") or fire.get("change") or "")
     return {
         "name": fire["name"],
-        "why": fire["reason"],
+        "why": str(fire["reason"]).removesuffix(changed).rstrip(),  # the report's sentence ends with it
         "changed": changed,
         "planned": f"{int(planned.sum())} of {len(own)}",
         "missing": missing,

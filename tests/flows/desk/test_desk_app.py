@@ -56,7 +56,7 @@ def build(root: Path, cycle: str, ids: tuple[int, ...], observed: tuple[bool, ..
     outcomes = pd.DataFrame({"target_id": ids, "observed": observed})
     outcomes["reason"] = ["" if seen else "crowded out: storage" for seen in observed]
     files = {"schedule.parquet": outcomes, "target_outcomes.parquet": outcomes, "report.json": report}
-    return finish(root, cycle, "plan-observations", files | {"gantt.png": b"\x89PNG"})
+    return finish(root, cycle, "plan-observations", files | {"gantt.png": b"\x89PNG", "wrfxweb_1.png": b"\x89PNG"})
 
 
 @pytest.fixture
@@ -84,11 +84,13 @@ def test_a_cycle_stands_on_one_page(desk: TestClient) -> None:
         "commands kept: 4 s recording, 80 s downlink",
         "dropped because satellite lost: 3 s",
         "9.0 of at most 10.0 (gap 10.00 %)",
-        "2025-08-30T12:00:00Z",
+        "2025-08-30 12:00 UTC",
         "72",
         "gantt.png",
     ):
         assert told in page, told
+    assert page.count("<img") == 1, "a tile without axes is a file, not a picture"
+    assert "wrfxweb_1.png" in page
     assert "<b>Canyon" not in page and "&lt;b&gt;Canyon" in page, "what people name things is text, not markup"
     assert "first cycle" in desk.get(f"/cases/tiny/cycles/{FIRST}").text
     front = desk.get("/").text
