@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from pyproj import Transformer
 
 from flows.cases.scoring import ArrivalField, polygonal, read_arrival, truth_incidents
+from shared.figures import save
 from shared.process import JobContext
 
 if TYPE_CHECKING:
@@ -83,19 +84,8 @@ def draw(layers: Layers, inputs: SituationInputs, path: Path, product: dict[str,
         axes.set_aspect(1.0 / np.cos(np.radians((south + north) / 2)))
         axes.locator_params(nbins=7)
         axes.grid(alpha=0.2)
-    figure.supxlabel(footer(product), fontsize=8, color="dimgrey")
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-
-
-def footer(product: dict[str, Any]) -> str:
-    """What every picture says of itself."""
-    share = (
-        f"{100 * product['simulated_share']:.0f} % of the inputs simulated" if product["simulated"] else "no simulation"
-    )
-    mark = "SIMULATED: " if product["simulated"] else ""
-    return (
-        f"{mark}{share} · oldest input {product['oldest_input'] or 'not stated'} · Smokeglint {product['code_version']}"
-    )
+    figure.get_layout_engine().set(rect=(0, 0.03, 1, 0.97))  # room for the footer line
+    save(figure, path, product)
 
 
 def _around_fires(layers: Layers, region: tuple[float, float, float, float]) -> tuple[float, ...]:
