@@ -27,9 +27,11 @@ def footer(attributes: Mapping[str, Any]) -> str:
 def save(figure: Figure, path: str | Path, attributes: Mapping[str, Any], *, dpi: int = 110) -> None:
     """Write the figure as PNG under its footer line; a simulated one also carries the word across its corner.
 
-    The same figure gives the same bytes: no software name and no time in the file.
+    Counts of what was left out (``screening``) travel in the file as text. The same figure gives the same bytes: no
+    software name and no time in the file.
     """
     figure.text(0.008, 0.008, footer(attributes), fontsize=7, color="0.35", ha="left", va="bottom")
     if attributes.get("simulated"):
         figure.text(0.992, 0.992, "SIMULATED", fontsize=9, color="#b30000", weight="bold", ha="right", va="top")
-    figure.savefig(path, format="png", dpi=dpi, metadata={"Software": None})
+    counts = {"screening": str(attributes["screening"])} if "screening" in attributes else {}
+    figure.savefig(path, format="png", dpi=dpi, metadata={"Software": None, **counts})

@@ -35,6 +35,23 @@ def looks_with_ancillary(inputs: models.AncillaryInputs, context: JobContext) ->
     return replace(seen, looks=with_ancillary(seen.looks, layers))
 
 
+def observed_images(
+    inputs: models.SimulateObservationsInputs, context: JobContext
+) -> tuple[pd.DataFrame | None, dict[str, int]]:
+    """The images whose maps are wanted (not lost and, where asked, on the ground in time; None without any wanted), and
+    how many were left out why.
+    """
+    if not inputs.raw_if or inputs.images is None:
+        return None, {}
+    images = context.read_table(inputs.images, "AS_RUN")
+    kept = images[images["status"] != "lost"]
+    counts = {"read": len(images), "lost": len(images) - len(kept)}
+    if inputs.downlinked_by is None:
+        return kept, counts
+    down = kept[kept["downlinked_at"] <= inputs.downlinked_by]
+    return down, counts | {"not_downlinked": len(kept) - len(down)}
+
+
 def read_looks(inputs: models.ObservedInputs, context: JobContext) -> Observations:
     """All usable looks of the input files within the input's times; marks the step simulated where a file is."""
     from services.retrieval.level1.reader import is_simulated

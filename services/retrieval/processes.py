@@ -12,7 +12,6 @@ from shared.process import ArtifactRef, JobContext, Process
 
 if TYPE_CHECKING:
     import geopandas
-    import pandas as pd
 
 MODEL_PATH = Path(__file__).parent / "models" / "burned_area.ubj"
 
@@ -21,6 +20,7 @@ def simulate_observations(
     inputs: models.SimulateObservationsInputs, context: JobContext
 ) -> models.SimulateObservationsOutputs:
     """Play the satellites on a simulated surface."""
+    from services.retrieval.looks.observation_report import data_volume
     from services.retrieval.simulation import observations
     from services.retrieval.simulation.surface import read_surface
 
@@ -30,31 +30,27 @@ def simulate_observations(
     attributes = context.product_attributes()
     refs: dict[str, ArtifactRef] = {}
     report: dict[str, Any] = {}
+    seconds = {"nominal": 0, "raw_if": 0}
     if inputs.nominal:
         context.progress(15, "nominal maps")
         made = observations.simulate_nominal(points, surface, inputs.seed)
         made.write(context.new_file("nominal.nc"), attributes)
         refs["nominal"], report["nominal"] = context.ref("nominal.nc"), made.summary()
-    images = _images(inputs, context) if inputs.raw_if and inputs.images is not None else None
+        seconds["nominal"] = made.satellite_seconds()
+    images, left_out = files.observed_images(inputs, context)
     if images is not None and len(images):
         context.progress(60, "raw-IF maps")
         made = observations.simulate_raw_if(points, images, surface, inputs.seed)
         made.write(context.new_file("raw_if.nc"), attributes)
         refs["raw_if"], report["raw_if"] = context.ref("raw_if.nc"), made.summary() | {"images": len(images)}
+        seconds["raw_if"] = made.satellite_seconds()
+    report |= {"images_left_out": left_out, "data_volume": data_volume(*seconds.values())}
     return models.SimulateObservationsOutputs(
         **refs,
         report=context.write_json("report.json", report),
         nominal_count=report.get("nominal", {}).get("maps", 0),
         raw_if_count=report.get("raw_if", {}).get("maps", 0),
     )
-
-
-def _images(inputs: models.SimulateObservationsInputs, context: JobContext) -> pd.DataFrame:
-    """The images whose maps are wanted: not lost and, where asked, on the ground in time."""
-    images = context.read_table(inputs.images, "AS_RUN")
-    if inputs.downlinked_by is not None:
-        images = images[images["downlinked_at"] <= inputs.downlinked_by]
-    return images[images["status"] != "lost"]
 
 
 def retrieve_burned_area(
@@ -74,7 +70,7 @@ def retrieve_burned_area(
     model = burned_area.load_model(MODEL_PATH if inputs.model is None else context.path(inputs.model))
     features = burned_area.feature_table(seen.looks, baseline)
     table = burned_products.burned_area_table(seen.looks, model.probability(features), model)
-    attributes = context.product_attributes() | screening_attribute(seen)
+    attributes = context.product_attributes() | screening_attribute(seen.screening)
     schema.write_table(context.new_file("burned_area.parquet"), table, tables.BURNED_AREA, attributes)
     context.progress(80, "maps")
     refs = _burned_maps(table, model.threshold, perimeters, attributes, context)
@@ -132,7 +128,8 @@ def retrieve_soil_moisture(
     table, counts = regression.retrieve(seen.looks, reference, None if model is None else model.interval)
     resolution_km = regression.grid_of(reference)
     grid = level3.level3_grid(table, resolution_km)
-    attributes = context.product_attributes() | screening_attribute(seen)
+    screened = {**seen.screening, "cell_days": counts}
+    attributes = context.product_attributes() | screening_attribute(screened)
     schema.write_table(context.new_file("soil_moisture.parquet"), table, tables.SOIL_MOISTURE, attributes)
     write_netcdf(context.new_file("soil_moisture.nc"), grid, attributes)
     level3.write_level3_cog(context.new_file("soil_moisture.tif"), grid, attributes)
@@ -159,7 +156,8 @@ def train_burned_area(inputs: models.TrainBurnedAreaInputs, context: JobContext)
     baseline = None if inputs.baseline is None else files.read_plain(inputs.baseline, context)
     context.progress(50, "training")
     model, report = training.train_on_looks(seen.looks, label, baseline, inputs.calibration_share)
-    model.save(context.new_file("model.ubj"), context.product_attributes() | screening_attribute(seen))
+    screened = {**seen.screening, "labels": {name: report[name] for name in ("looks", "without_label")}}
+    model.save(context.new_file("model.ubj"), context.product_attributes() | screening_attribute(screened))
     return models.TrainBurnedAreaOutputs(
         model=context.ref("model.ubj"),
         report=context.write_json("report.json", report | observation_report(seen)),
@@ -185,14 +183,15 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
     context.progress(80, "skill")
     report = observation_report(seen) | skill.summary(reference, pairs) | {"raw_if": raw_if[1]}
     report |= skill.evaluate(pairs, resolution_km)
-    screened = screening_attribute(seen)
-    files.write_plain("reference.parquet", reference, context, context.product_attributes() | screened)
+    screened = screening_attribute(seen.screening)
+    attributes = context.product_attributes() | screened
+    files.write_plain("reference.parquet", reference, context, attributes)
     looks_only = files.looks_product(inputs, context) | screened
     files.write_plain("baseline.parquet", baseline.build_baseline(seen.looks), context, looks_only)
     held = skill.with_intervals(skill.leave_days_out(pairs, resolution_km))
-    figure.skill_figure(context.new_file("skill.png"), held, context.product_attributes())
+    figure.skill_figure(context.new_file("skill.png"), held, attributes)
     if raw_if[0] is not None:
-        raw_if[0].save(context.new_file(raw_if[0].file_name), context.product_attributes())
+        raw_if[0].save(context.new_file(raw_if[0].file_name), attributes)
     return models.TrainSoilMoistureOutputs(
         reference=context.ref("reference.parquet"),
         baseline=context.ref("baseline.parquet"),
@@ -205,6 +204,7 @@ def train_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobCont
 
 def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.ComputeDdmOutputs:
     """Acquire the reflection and write its 69 x 111 map as a level-1 file of one sample."""
+    from services.retrieval.looks.observation_report import screening_attribute
     from services.retrieval.raw_if import acquisition, ddm_product
     from services.retrieval.raw_if.recording import read_recording
 
@@ -212,7 +212,8 @@ def compute_ddm(inputs: models.ComputeDdmInputs, context: JobContext) -> models.
     context.progress(10, "acquisition")
     search = inputs.doppler_hz, inputs.milliseconds, inputs.search_hz
     found = acquisition.delay_doppler_map(recording, inputs.prn, inputs.channel, *search)
-    path, attributes = context.new_file("ddm.nc"), context.product_attributes()
+    screened = screening_attribute({"raw-if": ddm_product.milliseconds(found)})
+    path, attributes = context.new_file("ddm.nc"), context.product_attributes() | screened
     known = inputs.look, inputs.noise_temperature_k
     ddm_product.write_ddm(path, found, recording.header, inputs.prn, *known, attributes)
     return models.ComputeDdmOutputs(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from services.retrieval.burned_area.model import BurnedModel, confidence
 from services.retrieval.constants import FILL
 from services.retrieval.ease_grid import EASE_CRS, cell_coordinates, corner_transform, ease_grid, row_column
+from services.retrieval.looks.observation_report import screening_note
 from shared import figures
 from shared.contracts.cog import write_cog
 
@@ -174,6 +175,7 @@ def burned_area_map(
     axes.set_title(f"Burned area from GNSS reflections\n{span}; {verdicts}", fontsize=10)
     axes.legend(loc="upper right", fontsize=8)
     axes.grid(alpha=0.3)
+    figure.text(0.008, 0.026, screening_note(attributes), fontsize=5.5, color="0.35", va="bottom")
     figures.save(figure, path, attributes)
 
 

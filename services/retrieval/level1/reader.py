@@ -93,7 +93,7 @@ def read_level1(
                 yield _read_chunk(file, rows, mode, resolution, further_maps)
             except (OSError, RuntimeError) as error:
                 raise DomainError(
-                    f"'{Path(path).name}' breaks off in samples {rows.start}..{rows.stop}: {error}",
+                    f"'{Path(path).name}' breaks off in samples {rows.start}..{rows.stop}: {_cause(error)}",
                     field="observations",
                     value=Path(path).name,
                     accepted="a complete file",
@@ -105,11 +105,16 @@ def _open(path: str | Path) -> netCDF4.Dataset:
         return netCDF4.Dataset(str(path), "r")
     except (OSError, RuntimeError) as error:
         raise DomainError(
-            f"'{Path(path).name}' cannot be read as netCDF (truncated or another format): {error}",
+            f"'{Path(path).name}' cannot be read as netCDF (truncated or another format): {_cause(error)}",
             field="observations",
             value=Path(path).name,
             accepted="a CYGNSS level-1 v3 netCDF-4 file",
         ) from error
+
+
+def _cause(error: Exception) -> str:
+    """What the library says, without the path that it adds."""
+    return str(getattr(error, "strerror", None) or error)
 
 
 def _check_layout(file: netCDF4.Dataset, name: str) -> str:
@@ -120,7 +125,22 @@ def _check_layout(file: netCDF4.Dataset, name: str) -> str:
             field=missing[0],
             accepted="CYGNSS level-1 v3 names",
         )
+    _check_dimensions(file, "ddm_timestamp_utc", ("sample",), name)
+    for variable in (*REQUIRED, *OPTIONAL):
+        if variable in file.variables:
+            _check_dimensions(file, variable, MAP_DIMENSIONS[:2], name)
     return _check_map(file, "power_analog", name)
+
+
+def _check_dimensions(file: netCDF4.Dataset, variable: str, dimensions: tuple[str, ...], name: str) -> None:
+    found = file.variables[variable]
+    if found.dimensions != dimensions or not np.issubdtype(found.dtype, np.number):
+        raise DomainError(
+            f"'{name}': {variable} is {found.dtype} with dimensions {found.dimensions}.",
+            field=variable,
+            value=f"{found.dimensions} {found.shape}",
+            accepted=f"numbers with dimensions ({', '.join(dimensions)})",
+        )
 
 
 def _check_map(file: netCDF4.Dataset, variable: str, name: str) -> str:
@@ -194,19 +214,30 @@ def _values(file: netCDF4.Dataset, name: str, rows: slice, size: int) -> NDArray
 
 def _times(variable: netCDF4.Variable, rows: slice) -> NDArray[np.datetime64]:
     """Sample times as naive UTC milliseconds; ``seconds since`` may carry nanoseconds, as real files do."""
-    words = str(getattr(variable, "units", "")).split(" since ")
-    if len(words) != 2 or not words[0].startswith("sec"):
-        raise DomainError(
-            "ddm_timestamp_utc has no usable units.",
-            field="ddm_timestamp_utc",
-            value=getattr(variable, "units", ""),
-            accepted="seconds since YYYY-MM-DD hh:mm:ss",
-        )
-    start = np.datetime64(words[1].strip().replace("Z", "").replace(" ", "T"), "ns").astype(np.int64)
+    start = _time_origin(str(getattr(variable, "units", "")))
     seconds = variable[rows]
     known = np.isfinite(seconds) & ~_is_fill(variable, seconds)
     milliseconds = np.round(np.where(known, seconds, 0.0) * 1e3 + start / 1e6).astype(np.int64)
     return np.where(known, milliseconds.astype("datetime64[ms]"), np.datetime64("NaT", "ms"))
+
+
+def _time_origin(units: str) -> int:
+    """Nanoseconds since 1970 of ``seconds since ...``, UTC where no zone is given."""
+    words = units.split(" since ")
+    try:
+        if len(words) != 2 or words[0].strip() not in ("s", "sec", "second", "seconds"):
+            raise ValueError("no seconds")
+        moment = pd.Timestamp(words[1].strip())
+        return int(
+            (moment if moment.tzinfo is None else moment.tz_convert("UTC").tz_localize(None)).as_unit("ns").value
+        )
+    except (ValueError, TypeError, OverflowError) as error:
+        raise DomainError(
+            "ddm_timestamp_utc has no usable units.",
+            field="ddm_timestamp_utc",
+            value=units,
+            accepted="seconds since YYYY-MM-DD hh:mm:ss",
+        ) from error
 
 
 def _satellites(file: netCDF4.Dataset, rows: slice, samples: int) -> NDArray[np.int64]:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from services.retrieval.constants import FILL
+from services.retrieval.constants import FILL, WAVELENGTH_M
 
 CHANNELS = 4  # CYGNSS tracks four reflections at a time
 INTEGER_FILL = -99999999
@@ -43,6 +43,7 @@ FLOATS: dict[str, tuple[str, str]] = {
     "gps_eirp": ("reported_eirp_w", "watt"),
     "ddm_snr": ("snr_db", "dB"),
     "ddm_noise_floor": ("noise_counts", "1"),
+    "coherency_ratio": ("coherency_ratio", "1"),
     "pekel_sp_water_percentage_5km": ("water_pct", "percent"),
     "brcs_ddm_sp_bin_delay_row": ("specular_row", "1"),
     "brcs_ddm_sp_bin_dopp_col": ("specular_column", "1"),
@@ -86,7 +87,7 @@ def write_level1(
             _put(file, name, "i4", INTEGER_FILL, unit, looks[column].to_numpy(), slot, samples)
         if "image_id" in looks.columns:
             _put(file, "image_id", "i4", INTEGER_FILL, "1", looks["image_id"].to_numpy(), slot, samples)
-        _write_maps(file, maps, slot, samples, layout, noise_floor_w)
+        _write_maps(file, maps, looks, slot, samples, layout, noise_floor_w)
         _scalar(file, "delay_resolution", layout.delay_resolution_chips, "1")
         _scalar(file, "dopp_resolution", layout.doppler_resolution_hz, "s-1")
         start_ms = int(looks["time_ms"].min()) if len(looks) else 0
@@ -122,28 +123,51 @@ def _put(file: netCDF4.Dataset, name: str, kind: str, fill: float, unit: str, va
     variable[:] = full.reshape(samples, CHANNELS)
 
 
-def _write_maps(file, maps, slot, samples: int, layout: MapLayout, noise_floor_w: float) -> None:
-    """power_analog (W, noise floor removed) and raw_counts (floor included), in chunks of whole samples."""
-    dimensions = ("sample", "ddm", "delay", "doppler")
+def _section_per_watt(looks: pd.DataFrame) -> NDArray[np.float32]:
+    """Bistatic radar cross section of a watt: (4 pi)^3 Rt^2 Rr^2 / (EIRP G lambda^2), m2/W, (n,); NaN without geometry.
+
+    Ruf et al. 2016, CYGNSS handbook.
+    """
+    rx_m, tx_m = (looks[name].to_numpy(np.float64) for name in ("rx_range_m", "tx_range_m"))
+    eirp_w, gain_dbi = (looks[name].to_numpy(np.float64) for name in ("reported_eirp_w", "rx_gain_dbi"))
+    known = (rx_m > 0) & (tx_m > 0) & (eirp_w > 0) & (gain_dbi > FILL)
+    gain = 10.0 ** (np.where(known, gain_dbi, 0.0) / 10.0)
+    area = (4.0 * np.pi) ** 3 * (rx_m * tx_m) ** 2 / (np.where(known, eirp_w, 1.0) * gain * WAVELENGTH_M**2)
+    return np.where(known, area, np.nan).astype(np.float32)
+
+
+def _write_maps(file, maps, looks: pd.DataFrame, slot, samples: int, layout: MapLayout, noise_floor_w: float) -> None:
+    """power_analog (W, noise floor removed), brcs and raw_counts (floor included), in chunks of whole samples."""
     chunk = max(1, min(samples, 256 if layout.mode == "nominal" else 8))
-    sizes = (chunk, CHANNELS, layout.delays, layout.dopplers)
-    options = {"zlib": True, "complevel": 1, "shuffle": True, "chunksizes": sizes if samples else None}
-    power = file.createVariable("power_analog", "f4", dimensions, fill_value=FILL, **options)
-    counts = file.createVariable("raw_counts", "i4", dimensions, fill_value=INTEGER_FILL, **options)
-    power.setncatts({"units": "watt", "long_name": "DDM bin analog power"})
-    counts.setncatts({"units": "1", "long_name": "DDM bin raw counts"})
-    kept = _keep_bits(maps)
-    block = chunk * 16
-    for first in range(0, samples, block):
-        last = min(first + block, samples)
+    sizes = (chunk, CHANNELS, layout.delays, layout.dopplers) if samples else None
+    power = _map_variable(file, "power_analog", "f4", FILL, "watt", "DDM bin analog power", sizes)
+    section = _map_variable(file, "brcs", "f4", FILL, "meter2", "DDM bin bistatic radar cross section", sizes)
+    counts = _map_variable(file, "raw_counts", "i4", INTEGER_FILL, "1", "DDM bin raw counts", sizes)
+    kept, per_watt = _keep_bits(maps), _section_per_watt(looks)
+    for first in range(0, samples, chunk * 16):
+        last = min(first + chunk * 16, samples)
         here = (slot >= first * CHANNELS) & (slot < last * CHANNELS)
         shape = (last - first, CHANNELS, layout.delays, layout.dopplers)
-        values = np.full(((last - first) * CHANNELS, layout.delays, layout.dopplers), FILL, dtype=np.float32)
-        whole = np.full(values.shape, INTEGER_FILL, dtype=np.int32)
-        values[slot[here] - first * CHANNELS] = kept[here]
-        whole[slot[here] - first * CHANNELS] = np.round((kept[here] / noise_floor_w + 1.0) * COUNTS_OF_NOISE)
-        power[first:last] = values.reshape(shape)
-        counts[first:last] = whole.reshape(shape)
+        watts, place = kept[here], slot[here] - first * CHANNELS
+        area = _keep_bits(watts * per_watt[here, None, None])
+        power[first:last] = _placed(watts, place, shape, FILL)
+        section[first:last] = _placed(np.where(np.isfinite(area), area, np.float32(FILL)), place, shape, FILL)
+        whole = np.round((watts / noise_floor_w + 1.0) * COUNTS_OF_NOISE).astype(np.int32)
+        counts[first:last] = _placed(whole, place, shape, INTEGER_FILL)
+
+
+def _map_variable(file, name: str, kind: str, fill: float, unit: str, text: str, sizes) -> netCDF4.Variable:
+    options = {"zlib": True, "complevel": 1, "shuffle": True, "chunksizes": sizes}
+    variable = file.createVariable(name, kind, ("sample", "ddm", "delay", "doppler"), fill_value=fill, **options)
+    variable.setncatts({"units": unit, "long_name": text})
+    return variable
+
+
+def _placed(maps: NDArray, place: NDArray[np.intp], shape: tuple[int, ...], fill: float) -> NDArray:
+    """Maps at their places in a block of samples, fill elsewhere."""
+    full = np.full((shape[0] * shape[1], *shape[2:]), fill, dtype=maps.dtype)
+    full[place] = maps
+    return full.reshape(shape)
 
 
 def _keep_bits(values: NDArray[np.float32], bits: int = 10) -> NDArray[np.float32]:

@@ -173,6 +173,8 @@ def read_observations(
     frames = [frame for frame, _ in granules]
     looks = pd.concat([frame for frame in frames if len(frame)] or frames[:1], ignore_index=True)
     row, column = row_column(looks["latitude_deg"].to_numpy(), looks["longitude_deg"].to_numpy(), 9)
+    for mode, count in looks.loc[row < 0, "mode"].value_counts().items():
+        _add(screening[str(mode)], {"outside_grid": int(count)})
     return Observations(looks.assign(row=row, column=column)[row >= 0].reset_index(drop=True), screening)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import textwrap
+from collections.abc import Mapping
 from typing import Any
 
 from services.retrieval.constants import SAMPLING_HZ
@@ -27,14 +29,33 @@ def observation_report(observations: Observations) -> dict[str, Any]:
         "nominal_seconds": nominal,
         "raw_if_seconds": raw_if,
         "raw_if_volume_in_nominal_seconds": raw_if * RAW_IF_VOLUME_RATIO,
-        "data_volume": {
-            "nominal_bytes": round(nominal * NOMINAL_BYTES_S),
-            "raw_if_bytes": round(raw_if * RAW_IF_BYTES_S),
-            "raw_if_to_nominal_per_second": RAW_IF_VOLUME_RATIO,
-        },
+        "data_volume": data_volume(nominal, raw_if),
     }
 
 
-def screening_attribute(observations: Observations) -> dict[str, str]:
-    """The counts of the screening as a product attribute: ``screening``, JSON by mode and reason."""
-    return {"screening": json.dumps(observations.screening, sort_keys=True, separators=(",", ":"))}
+def screening_note(attributes: Mapping[str, Any], width: int = 175) -> str:
+    """The counts of a product's ``screening`` in words, for the foot of a picture; empty without."""
+    said = []
+    for name, counts in json.loads(attributes.get("screening", "{}")).items():
+        first = ", ".join(f"{counts[key]} {key}" for key in ("read", "usable") if key in counts)
+        rest = {key: count for key, count in counts.items() if key not in ("read", "usable")}
+        ordered = sorted(rest.items(), key=lambda item: (-item[1], item[0]))
+        said.append(f"{name}: " + "; ".join(filter(None, [first, ", ".join(f"{key} {n}" for key, n in ordered if n)])))
+    return textwrap.fill(" · ".join(said), width)
+
+
+def data_volume(nominal_seconds: int, raw_if_seconds: int) -> dict[str, int]:
+    """Bytes on the downlink behind so many satellite-seconds of either mode."""
+    return {
+        "nominal_bytes": round(nominal_seconds * NOMINAL_BYTES_S),
+        "raw_if_bytes": round(raw_if_seconds * RAW_IF_BYTES_S),
+        "raw_if_to_nominal_per_second": RAW_IF_VOLUME_RATIO,
+    }
+
+
+def screening_attribute(counts: Mapping[str, Mapping[str, int]]) -> dict[str, str]:
+    """Counts of what was read, used and left out as a product attribute: ``screening``, JSON by mode and reason.
+
+    What a step leaves out after the screening of maps stands beside the modes, under a name of its own.
+    """
+    return {"screening": json.dumps(counts, sort_keys=True, separators=(",", ":"))}

@@ -74,6 +74,7 @@ def _row(found: DelayDopplerMap, header: Header, prn: int, look: Mapping[str, fl
         "tx_range_m": look["tx_range_m"],
         "snr_db": 10.0 * np.log10(max(peak, 1e-3)),
         "noise_counts": COUNTS_OF_NOISE,
+        "coherency_ratio": FILL,
         "water_pct": FILL,
         "specular_row": FILL,
         "specular_column": FILL,
@@ -84,6 +85,12 @@ def _row(found: DelayDopplerMap, header: Header, prn: int, look: Mapping[str, fl
         "land_confidence": -99999999,
     }
     return pd.DataFrame([values])
+
+
+def milliseconds(found: DelayDopplerMap) -> dict[str, int]:
+    """Milliseconds read, used and left out, in the words of the screening of maps."""
+    used, lost = found.milliseconds, found.milliseconds_lost
+    return {"read_ms": used + lost, "usable_ms": used, "lost_packets_ms": lost}
 
 
 def report(found: DelayDopplerMap, recording: Recording, product_bytes: int) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,17 +58,29 @@ class Recording:
 
     def lost_bytes(self, rows: int | None = None) -> NDArray[np.bool_]:
         """True for each of the first ``rows`` rows of bytes (all) that lies in a lost packet: a run of 2048 or more
-        zeros in the interleaved stream. A run that goes on beyond is seen: a packet more is read.
+        zeros in the interleaved stream or in a channel. A run that goes on beyond is seen: a packet more is read.
         """
         count = len(self.data) if rows is None else min(rows, len(self.data))
-        flat = self.data[: count + LOST_PACKET_BYTES].reshape(-1)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], (flat == 0).view(np.int8), [0]])))
-        starts, ends = edges[::2], edges[1::2]
-        lost = np.zeros(flat.size, dtype=bool)
-        for start, end in zip(starts, ends, strict=True):
-            if end - start >= LOST_PACKET_BYTES:
-                lost[start:end] = True
-        return lost.reshape(-1, self.header.channels).any(axis=1)[:count]
+        data = np.asarray(self.data[: count + LOST_PACKET_BYTES])
+        lost = _in_long_runs(data.reshape(-1)).reshape(data.shape).any(axis=1)
+        for channel in range(self.header.channels):
+            lost |= _in_long_runs(data[:, channel])
+        return lost[:count]
+
+
+@numba.njit(cache=True)
+def _in_long_runs(values):
+    """True for each byte that lies in a run of LOST_PACKET_BYTES or more zeros, (n,)."""
+    inside = np.zeros(values.size, np.bool_)
+    run = 0
+    for n in range(values.size + 1):
+        if n < values.size and values[n] == 0:
+            run += 1
+            continue
+        if run >= LOST_PACKET_BYTES:
+            inside[n - run : n] = True
+        run = 0
+    return inside
 
 
 def read_recording(path: str | Path) -> Recording:

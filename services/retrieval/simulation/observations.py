@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from services.retrieval.level1.writer import COUNTS_OF_NOISE, MapLayout, write_level1
 from services.retrieval.simulation.ambiguity import NOMINAL, RAW_IF, MapGrid
+from services.retrieval.simulation.coherency import coherency_ratio
 from services.retrieval.simulation.footprint import Strength, strengths, track_bearing_deg
 from services.retrieval.simulation.looks import looks_table, nominal_looks, raw_if_looks
 from services.retrieval.simulation.maps import LOOK_S, NOISE_FLOOR_W, Link, simulate_maps
@@ -26,11 +28,16 @@ STREAMS = {NOMINAL.mode: 1, RAW_IF.mode: 2}
 
 @dataclass(frozen=True)
 class Simulated:
-    """What was simulated of one mode: the looks with their truth, the maps, and how many looks had no surface."""
+    """What was simulated of one mode: the looks with their truth, the maps; how many specular points were given, how
+    many of them are no GPS ones, how many were not observed in this mode, how many looks had no surface.
+    """
 
     looks: pd.DataFrame
     maps: NDArray[np.float32]
     grid: MapGrid
+    given: int
+    not_gps: int
+    not_observed: int
     without_surface: int
 
     def write(self, path: str | Path, attributes: Mapping[str, Any]) -> None:
@@ -38,8 +45,20 @@ class Simulated:
         grid = self.grid
         steps = grid.delay_resolution_chips, grid.doppler_resolution_hz
         layout = MapLayout(grid.mode, grid.delays, grid.dopplers, *steps)
-        marked = {"title": f"Simulated CYGNSS level-1 delay-Doppler maps, {grid.mode}", **attributes, "simulated": True}
-        write_level1(path, self.looks, self.maps, layout, NOISE_FLOOR_W, marked)
+        counts = json.dumps({grid.mode: self.counts()}, sort_keys=True, separators=(",", ":"))
+        title = f"Simulated CYGNSS level-1 delay-Doppler maps, {grid.mode}"
+        marked = {"title": title, "screening": counts, **attributes, "simulated": True}
+        looks = self.looks.assign(coherency_ratio=coherency_ratio(self.maps, grid))
+        write_level1(path, looks, self.maps, layout, NOISE_FLOOR_W, marked)
+
+    def counts(self) -> dict[str, int]:
+        """Specular points given, those that became maps, and why the others did not."""
+        left_out = {name: getattr(self, name) for name in ("not_gps", "not_observed", "without_surface")}
+        return {"read": self.given, "usable": len(self.looks), **left_out}
+
+    def satellite_seconds(self) -> int:
+        """Seconds of a satellite that the maps are of: what has to be downlinked."""
+        return len(self.looks.assign(second=self.looks["time_ms"] // 1000).drop_duplicates(["satellite", "second"]))
 
     def summary(self) -> dict[str, Any]:
         """Counts for the report, the truth about burned ground left out."""
@@ -48,6 +67,7 @@ class Simulated:
             "maps": len(looks),
             "satellites": sorted(looks["satellite"].unique().tolist()),
             "without_surface": self.without_surface,
+            "screening": self.counts(),
             "shape": [self.grid.delays, self.grid.dopplers],
         }
 
@@ -55,13 +75,13 @@ class Simulated:
 def simulate_nominal(specular_points: pd.DataFrame, surface: Surface, seed: int) -> Simulated:
     """17 x 11 maps of the looks that the on-board tracker follows."""
     looks = _prepared(specular_points)
-    return _simulate(nominal_looks(looks), surface, NOMINAL, seed)
+    return _simulate(nominal_looks(looks), surface, NOMINAL, seed, (len(specular_points), len(looks)))
 
 
 def simulate_raw_if(specular_points: pd.DataFrame, images: pd.DataFrame, surface: Surface, seed: int) -> Simulated:
     """69 x 111 maps of every look in the antenna beams during the collected seconds of an as_run table."""
     looks = _prepared(specular_points)
-    return _simulate(raw_if_looks(looks, images), surface, RAW_IF, seed)
+    return _simulate(raw_if_looks(looks, images), surface, RAW_IF, seed, (len(specular_points), len(looks)))
 
 
 def _prepared(specular_points: pd.DataFrame) -> pd.DataFrame:
@@ -71,7 +91,11 @@ def _prepared(specular_points: pd.DataFrame) -> pd.DataFrame:
     return looks.assign(bearing_deg=track_bearing_deg(track, *position, looks["time_ms"].to_numpy() / 1000.0))
 
 
-def _simulate(looks: pd.DataFrame, surface: Surface, grid: MapGrid, seed: int) -> Simulated:
+def _simulate(
+    looks: pd.DataFrame, surface: Surface, grid: MapGrid, seed: int, given_and_gps: tuple[int, int]
+) -> Simulated:
+    given, gps = given_and_gps
+    not_observed = gps - len(looks)
     times = looks["time_ms"].to_numpy().astype("datetime64[ms]")
     known = surface.covers(looks["latitude_deg"].to_numpy(), looks["longitude_deg"].to_numpy(), times)
     looks = looks[known].reset_index(drop=True)
@@ -88,7 +112,7 @@ def _simulate(looks: pd.DataFrame, surface: Surface, grid: MapGrid, seed: int) -
         water_pct=100.0 * strength.water_share,
         **_level1_columns(looks, maps, grid),
     )
-    return Simulated(looks, maps, grid, int((~known).sum()))
+    return Simulated(looks, maps, grid, given, given - gps, not_observed, int((~known).sum()))
 
 
 def _strength(looks: pd.DataFrame, surface: Surface, look_s: float) -> Strength:

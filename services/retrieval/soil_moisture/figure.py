@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from services.retrieval.looks.observation_report import screening_note
 from services.retrieval.soil_moisture.conformal import Z90
 from services.retrieval.soil_moisture.skill import skill
 from shared.figures import save
@@ -30,6 +31,7 @@ def skill_figure(path: Path, held: pd.DataFrame, attributes: Mapping[str, Any]) 
         _series(right, held)
     else:
         left.text(0.5, 0.5, "too few days to hold one out", ha="center", transform=left.transAxes)
+    figure.text(0.008, 0.03, screening_note(attributes, 215), fontsize=5.5, color="0.35", va="bottom")
     save(figure, path, attributes)
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import netCDF4
 import numpy as np
 import pytest
+import rasterio
+from PIL import Image
 
 from services.retrieval.level1.reader import read_level1
 from services.retrieval.looks.observation_report import NOMINAL_BYTES_S, RAW_IF_BYTES_S
@@ -128,6 +130,61 @@ def test_a_file_of_nothing_but_fill_is_an_empty_product(root: Path) -> None:
     assert len(read_table(_local(made["burned_area"]), tables.BURNED_AREA)) == 0
 
 
+def _instead(name: str, dimensions: tuple[str, ...], kind: Any = "f4") -> Callable[[netCDF4.Dataset], None]:
+    def change(file: netCDF4.Dataset) -> None:
+        file.renameVariable(name, "kept")
+        file.createVariable(name, kind, dimensions)
+
+    return change
+
+
+def _units(text: str) -> Callable[[netCDF4.Dataset], None]:
+    return lambda file: file["ddm_timestamp_utc"].setncattr("units", text)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (_instead("sp_lat", ("sample",)), "sp_lat"),
+        (_instead("sp_lat", ("ddm", "sample")), "sp_lat"),
+        (_instead("prn_code", ("sample", "ddm"), str), "prn_code"),
+        (_instead("ddm_timestamp_utc", ("sample", "ddm"), "f8"), "ddm_timestamp_utc"),
+        (_instead("power_analog", ("sample", "ddm", "doppler", "delay")), "power_analog"),
+        (_instead("power_analog", ("sample", "delay", "doppler")), "power_analog"),
+        (_units("seconds since yesterday"), "ddm_timestamp_utc"),
+        (_units("days since 2024-03-01"), "ddm_timestamp_utc"),
+    ],
+)
+def test_a_variable_of_another_shape_is_named(
+    root: Path, change: Callable[[netCDF4.Dataset], None], field: str
+) -> None:
+    _change(root, change)
+    with pytest.raises(DomainError) as error:
+        _retrieve(root)
+    assert error.value.field == field and error.value.accepted
+    assert str(root) not in str(error.value)
+
+
+@pytest.mark.parametrize("units", ["seconds since 2024-03-01 00:00:00.999261529", "seconds since 2024-03-01T00:00:01Z"])
+def test_times_are_read_however_the_epoch_is_written(root: Path, units: str) -> None:
+    _change(root, _units(units))
+    with netCDF4.Dataset(root / "in/nominal.nc") as file:
+        first = float(file["ddm_timestamp_utc"][0])
+    found = next(read_level1(root / "in/nominal.nc")).metadata["time"][0]
+    expected = np.datetime64("2024-03-01T00:00:01", "ms") + np.timedelta64(round(1e3 * first), "ms")
+    assert abs(found.to_datetime64() - expected) <= np.timedelta64(1, "ms")
+
+
+def test_places_beyond_the_grid_are_left_out_and_counted(root: Path) -> None:
+    _, before = _retrieve(root)
+    hit = []
+    _change(root, lambda file: hit.append(_set(file, "sp_lat", 89.9)))
+    made, after = _retrieve(root)
+    assert 0 < after["outside_grid"] <= hit[0]
+    assert made["look_count"] == after["usable"] - after["outside_grid"]
+    assert after["usable"] == before["usable"]
+
+
 def test_times_of_fill_are_flagged(root: Path) -> None:
     def wipe(file: netCDF4.Dataset) -> None:
         file["ddm_timestamp_utc"][:4] = -9999.0
@@ -142,6 +199,9 @@ def test_every_product_says_what_was_screened(root: Path) -> None:
     with netCDF4.Dataset(_local(made["grid"])) as grid:
         assert json.loads(grid.screening)["nominal"] == counts
     assert json.loads(json.loads(_local(made["geojson"]).read_text())["product"]["screening"])["nominal"] == counts
+    assert json.loads(Image.open(_local(made["map"])).info["screening"])["nominal"] == counts
+    with rasterio.open(_local(made["cog"])) as cog:
+        assert json.loads(cog.tags()["screening"])["nominal"] == counts
 
 
 def test_brcs_and_counts_are_read_beside_power(root: Path) -> None:
@@ -153,8 +213,8 @@ def test_brcs_and_counts_are_read_beside_power(root: Path) -> None:
     fill = counts == -99999999
     assert np.isnan(found[fill]).all() and np.array_equal(found[~fill], counts[~fill].astype(np.float32))
     with pytest.raises(DomainError) as error:
-        list(read_level1(root / "in/nominal.nc", further_maps=("brcs",)))
-    assert error.value.field == "brcs"
+        list(read_level1(root / "in/nominal.nc", further_maps=("eff_scatter",)))
+    assert error.value.field == "eff_scatter"
 
 
 def test_a_day_is_read_in_chunks_not_whole(tmp_path: Path) -> None:
@@ -229,6 +289,8 @@ def test_lost_packets_are_left_out_counted_and_do_not_move_the_peak(root: Path) 
 
     _recording(root, lose)
     report = json.loads(_local(_map(root)["report"]).read_text())
+    with netCDF4.Dataset(_local(_map(root)["ddm"])) as file:
+        assert json.loads(file.screening)["raw-if"] == {"lost_packets_ms": 3, "read_ms": 10, "usable_ms": 7}
     assert (sound["milliseconds_used"], sound["milliseconds_lost"]) == (10, 0)
     assert (report["milliseconds_used"], report["milliseconds_lost"]) == (7, 3)
     assert report["code_phase_chips"] == pytest.approx(sound["code_phase_chips"], abs=0.07)

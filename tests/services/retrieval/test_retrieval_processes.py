@@ -87,6 +87,14 @@ def test_simulated_files_are_marked_and_counted(chain: dict[str, dict[str, Any]]
         with netCDF4.Dataset(_local(chain["after"][name])) as file:
             assert file.simulated == "true"
             assert file["power_analog"].shape[2:] == shape
+            counts = json.loads(file.screening)[{"nominal": "nominal", "raw_if": "raw-if"}[name]]
+        assert counts["usable"] == chain["after"][f"{name}_count"]
+        assert counts["read"] == sum(value for reason, value in counts.items() if reason != "read")
+    report = json.loads(_local(chain["after"]["report"]).read_text())
+    assert report["images_left_out"] == {"read": 60, "lost": 1}
+    volume = report["data_volume"]
+    assert 1_000 * 7_158 < volume["nominal_bytes"] < chain["after"]["nominal_count"] * 7_160
+    assert 0 < volume["raw_if_bytes"] <= 59 * 12_027_150 and volume["raw_if_to_nominal_per_second"] == 1680
 
 
 def test_burned_area_keeps_its_contract_and_says_what_was_screened(chain: dict[str, dict[str, Any]]) -> None:

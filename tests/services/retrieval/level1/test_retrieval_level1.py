@@ -58,6 +58,20 @@ def test_file_has_the_real_names_dimensions_and_fills(nominal: Path) -> None:
         assert np.all(file["power_analog"][:][~filled] == -9999.0)
         assert float(file["delay_resolution"][...]) == pytest.approx(0.2552, abs=1e-4)
         assert file.processing_level == "1"
+
+
+def test_radar_cross_section_gives_the_reflectivity(nominal: Path) -> None:
+    """brcs = (4 pi)^3 P Rt^2 Rr^2 / (EIRP G lambda^2), so Gamma = brcs (Rt + Rr)^2 / (4 pi Rt^2 Rr^2)."""
+    chunk = next(read_level1(nominal, further_maps=("brcs",)))
+    meta, usable = chunk.metadata, chunk.power_w.max(axis=(1, 2)) > 0
+    section = np.nanmax(chunk.further["brcs"][usable], axis=(1, 2)).astype(np.float64)
+    rx_m, tx_m = (meta.loc[usable, name].to_numpy() for name in ("rx_to_sp_range", "tx_to_sp_range"))
+    columns = (meta.loc[usable, name].to_numpy() for name in ("gps_eirp", "sp_rx_gain"))
+    peak = chunk.power_w[usable].max(axis=(1, 2)).astype(np.float64)
+    expected = reflectivity_db(peak, *columns, rx_m, tx_m)
+    found = 10 * np.log10(section * ((rx_m + tx_m) / (rx_m * tx_m)) ** 2 / (4 * np.pi))
+    assert usable.sum() > 100 and np.abs(found - expected).max() < 0.01
+    assert meta.loc[usable, "coherency_ratio"].between(0.1, 1000.0).all()
     assert is_simulated(nominal)
 
 

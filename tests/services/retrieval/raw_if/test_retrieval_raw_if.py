@@ -10,7 +10,7 @@ import pytest
 from services.retrieval.constants import CODE_RATE_HZ, GPS_L1_HZ
 from services.retrieval.raw_if.acquisition import DELAYS, DOPPLERS, acquire, delay_doppler_map
 from services.retrieval.raw_if.ca_code import chips, replica
-from services.retrieval.raw_if.recording import HEADER, Header, read_recording, write_recording
+from services.retrieval.raw_if.recording import HEADER, Header, Recording, read_recording, write_recording
 from shared.errors import DomainError
 
 RATE_HZ = 16_036_200.0
@@ -143,3 +143,41 @@ def test_a_recording_of_one_packet_is_too_short_to_map(tmp_path: Path) -> None:
     with pytest.raises(DomainError) as error:
         delay_doppler_map(read_recording(path), 7, 5, 0.0)
     assert error.value.field == "channel"
+
+
+def test_map_is_the_correlation_written_out(recording: Path) -> None:
+    """Each sample times code times wave, at every delay and Doppler, by plain matrix products over two milliseconds."""
+    read = read_recording(recording)
+    made = delay_doppler_map(read, 7, 1, 1500.0, milliseconds=2, search_hz=250.0)
+    size, total = 16_036, np.zeros((DELAYS, DOPPLERS))
+    doppler = (np.arange(DOPPLERS) - DOPPLERS // 2) * 50.0
+    step = CODE_RATE_HZ * (1 + made.acquired.doppler_hz / GPS_L1_HZ) / RATE_HZ
+    for first in (0, 16_037):  # the second millisecond begins at sample 16036.2
+        n = np.arange(size)
+        delays = np.arange(DELAYS)[:, None] - DELAYS // 2
+        code = replica(7, made.acquired.code_phase_chips + (first + n[None, :] - delays) * step)
+        wave = np.exp(-2j * np.pi * (INTERMEDIATE_HZ + made.acquired.doppler_hz + doppler) / RATE_HZ * n[:, None])
+        total += np.abs(code @ (read.samples(1, first, size)[:, None] * wave)) ** 2
+    expected = total / (2 * made.noise_power) - 1.0
+    assert np.abs(made.power - expected).max() < 0.03 * expected.max()
+    middle = slice(DOPPLERS // 2 - 10, DOPPLERS // 2 + 11)  # within 500 Hz the blocks lose 0.1 %
+    assert np.abs(made.power - expected)[:, middle].max() < 0.002 * expected.max()
+
+
+def test_lost_packets_at_the_start_move_the_search_on(tmp_path: Path) -> None:
+    path = tmp_path / "late.bin"
+    write_recording(path, HEAD, _samples(10, 0.12, 400.25, 1730.0))
+    content = bytearray(path.read_bytes())
+    content[HEADER.size : HEADER.size + 3 * 4009 * 4] = bytes(3 * 4009 * 4)
+    path.write_bytes(content)
+    made = delay_doppler_map(read_recording(path), 7, 1, 1750.0, milliseconds=9, search_hz=250.0)
+    assert made.milliseconds_lost >= 4 and made.milliseconds == 9 - made.milliseconds_lost
+    assert made.acquired.code_phase_chips == pytest.approx(400.25, abs=0.1)
+
+
+def test_a_packet_lost_in_one_channel_is_seen(recording: Path) -> None:
+    read = read_recording(recording)
+    data = read.data.copy()
+    data[5000:7048, 1] = 0
+    lost = np.flatnonzero(Recording(read.header, data).lost_bytes())
+    assert lost[0] <= 5000 and lost[-1] >= 7047 and lost.size < 2100
