@@ -67,6 +67,10 @@ class TooManyJobsError(SmokeglintError):
     """Somebody has as many jobs waiting or running as he may."""
 
 
+class UnavailableError(SmokeglintError):
+    """Something that we stand on cannot be reached just now (the job register); trying again helps."""
+
+
 class JobFailedError(SmokeglintError):
     """A job that ended without a result; ``problem`` is its problem document."""
 

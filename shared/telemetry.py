@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import sys
 import uuid
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TextIO, cast
 
 import structlog
 
@@ -24,6 +25,25 @@ def new_correlation_id() -> str:
 def accept_correlation_id(offered: str | None) -> str:
     """The offered id if it is a harmless word, else a fresh one: what enters the log must not forge lines."""
     return offered if offered and _ALLOWED.fullmatch(offered) else new_correlation_id()
+
+
+class _UnfailingStream:
+    """Standard error, but a line that cannot be written (a full disk, a closed pipe) is lost instead of raising.
+
+    Log lines are written where faults are handled; an error of their own would take the thread down with it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError, ValueError):
+            return self._stream.write(text)
+        return 0
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.flush()
 
 
 def configure_logging(service: str, level: str = "INFO") -> None:
@@ -44,7 +64,7 @@ def configure_logging(service: str, level: str = "INFO") -> None:
             structlog.processors.JSONRenderer(sort_keys=True),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.getLevelName(level)),
-        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
+        logger_factory=structlog.PrintLoggerFactory(file=cast(TextIO, _UnfailingStream(sys.stderr))),
     )
 
 

@@ -8,6 +8,7 @@ import posixpath
 import re
 import shutil
 import tempfile
+import uuid
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,8 +134,10 @@ class ArtifactStore:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def commit(self, address: StepAddress, files: dict[str, Path], manifest: Manifest) -> Manifest:
-        """Move staged files into place, the manifest last. Until it is there, the step is not done.
+        """Put staged files and their manifest into place. Until the manifest is there, the step is not done.
 
+        On this machine the step's folder appears at once, by one rename: nobody ever sees a part of it, whatever is
+        killed when. On a remote file system the files go one by one, the manifest last.
         A step that another worker has finished meanwhile is left as it is: references to it are already in use.
         SmokeglintError: there is no file to commit.
         """
@@ -143,26 +146,48 @@ class ArtifactStore:
         finished = self.load(address)
         if finished is not None:
             return finished
-        folder = self._folder(address)
+        staging = next(iter(files.values())).parent
+        target = self._folder(address)
+        if Location(self._fs, target).local is None:
+            self._upload(target, files, manifest)
+            return manifest
+        fresh = Path(tempfile.mkdtemp(prefix=".commit-", dir=staging))
+        for name, staged in files.items():
+            staged.replace(fresh / name)
+        (fresh / MANIFEST).write_bytes(manifest.to_bytes())
+        for path in (*fresh.iterdir(), fresh):
+            _to_disk(path)
+        return self._move_in(fresh, Path(target), address, manifest)
+
+    def _move_in(self, fresh: Path, target: Path, address: StepAddress, manifest: Manifest) -> Manifest:
+        """Rename the finished folder into place; an old one that does not verify goes away with the staging folder."""
+        fresh.chmod(0o755)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _later_than_siblings(fresh / MANIFEST, target.parent)
+        try:
+            fresh.rename(target)
+        except OSError:  # there is a folder already: another worker's, finished just now, or a damaged one
+            finished = self.load(address)
+            if finished is not None:
+                return finished
+            target.rename(Path(tempfile.mkdtemp(prefix=".damaged-", dir=fresh.parent)) / target.name)
+            fresh.rename(target)
+        _to_disk(target.parent)
+        return manifest
+
+    def _upload(self, folder: str, files: dict[str, Path], manifest: Manifest) -> None:
         self._fs.makedirs(folder, exist_ok=True)
         target = posixpath.join(folder, MANIFEST)
         if self._fs.exists(target):
             self._fs.rm(target)  # it did not verify, else the step would not have run again
         for name, staged in files.items():
             self._put(staged, posixpath.join(folder, name))
-        with tempfile.NamedTemporaryFile(dir=next(iter(files.values())).parent, delete=False) as stream:
-            stream.write(manifest.to_bytes())
-        self._put(Path(stream.name), target)
-        return manifest
+        last = next(iter(files.values())).with_name(f".{MANIFEST}")
+        last.write_bytes(manifest.to_bytes())
+        self._put(last, target)
 
     def _put(self, staged: Path, target: str) -> None:
-        if Location(self._fs, target).local is not None:
-            with open(staged, "rb") as stream:
-                os.fsync(stream.fileno())
-            staged.chmod(0o644)
-            staged.replace(target)
-        else:
-            self._fs.put_file(str(staged), target)
+        self._fs.put_file(str(staged), target)
 
     def sweep(self, owner: str, steps: Iterable[str]) -> int:
         """Remove what a killed owner left: its staging folder, and folders of its steps without a manifest."""
@@ -180,7 +205,7 @@ class ArtifactStore:
 
     def writable(self) -> bool:
         """Whether a file can be written and removed below the root."""
-        probe = posixpath.join(self._root, STAGING, f"probe-{os.getpid()}")
+        probe = posixpath.join(self._root, STAGING, f"probe-{uuid.uuid4().hex}")  # several may ask at once
         try:
             self._fs.makedirs(posixpath.dirname(probe), exist_ok=True)
             self._fs.pipe_file(probe, b"")
@@ -204,6 +229,24 @@ class ArtifactStore:
             return Manifest.model_validate_json(fs.cat_file(path))
         except ValidationError:
             return None
+
+
+def _to_disk(path: Path) -> None:
+    """Have the system write out a file or a folder's entries, and let others read the file."""
+    if path.is_file():
+        path.chmod(0o644)
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _later_than_siblings(manifest: Path, step: Path) -> None:
+    """Date a manifest after those of the same step, even if the clock was put back: the newest is the last made."""
+    latest = max((path.stat().st_mtime_ns for path in step.glob(f"*/{MANIFEST}")), default=0)
+    if latest >= manifest.stat().st_mtime_ns:
+        os.utime(manifest, ns=(latest + 1_000_000, latest + 1_000_000))
 
 
 def _prefix(owner: str, name: str) -> str:

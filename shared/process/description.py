@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from pydantic import BaseModel
@@ -43,6 +44,7 @@ def description(process: Process, base: str) -> dict[str, Any]:
     return entry
 
 
+@functools.cache
 def _members(model: type[BaseModel], *, is_input: bool) -> dict[str, Any]:
     schema = model.model_json_schema(mode="validation" if is_input else "serialization")
     definitions = schema.get("$defs", {})

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import time
 import uuid
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from typing import Any, Literal
 
 import sqlalchemy as sa
 
-from shared.errors import ConflictError, NotFoundError, TooManyJobsError
+from shared.errors import ConflictError, NotFoundError, TooManyJobsError, UnavailableError
 
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
 FINAL = ("successful", "failed", "dismissed")
+_START_WAIT_S, _START_PAUSE_S = 60.0, 0.5
 
 _metadata = sa.MetaData()
 _jobs = sa.Table(
     "jobs",
     _metadata,
     sa.Column("id", sa.String(64), primary_key=True),
-    sa.Column("sequence", sa.Integer, nullable=False),
+    sa.Column("sequence", sa.Integer, nullable=False, index=True),
     sa.Column("process", sa.String(80), nullable=False),
     sa.Column("status", sa.String(16), nullable=False),
     sa.Column("progress", sa.Float, nullable=False, default=0.0),
@@ -39,25 +42,34 @@ _jobs = sa.Table(
 
 
 @dataclass(frozen=True)
-class Job:
-    """One request and its state. ``outputs`` and ``problem`` are None until it has ended well or badly."""
+class JobStatus:
+    """How a job stands. ``problem`` is None unless it has ended badly."""
 
     id: str
     process: str
     status: Status
     progress: float
     message: str
-    inputs: dict[str, Any]
-    outputs: dict[str, Any] | None
     problem: dict[str, Any] | None
-    correlation_id: str
-    owner: str
     created: str
     updated: str
 
     @property
     def ended(self) -> bool:
         return self.status in FINAL
+
+
+@dataclass(frozen=True)
+class Job(JobStatus):
+    """One request and its state. ``outputs`` is None until it has ended well."""
+
+    inputs: dict[str, Any]
+    outputs: dict[str, Any] | None
+    correlation_id: str
+    owner: str
+
+
+_STATUS = [_jobs.c[field.name] for field in fields(JobStatus)]
 
 
 @dataclass(frozen=True)
@@ -73,14 +85,50 @@ class JobRequest:
 
 
 class JobRegister:
-    """Jobs of one service, one replica a database. Thread-safe through the engine's own connections."""
+    """Jobs of one service, one replica a database. Thread-safe through the engine's own connections.
 
-    def __init__(self, url: str) -> None:
-        options = {"connect_args": {"timeout": 30}} if url.startswith("sqlite") else {}
+    Every method raises UnavailableError while the database cannot be reached or written. A database that comes up
+    after its service is waited for.
+    """
+
+    def __init__(self, url: str, wait_s: float = _START_WAIT_S) -> None:
+        # A server that was restarted has closed the pooled connections: each is tried before it is used.
+        options = {"connect_args": {"timeout": 30}} if url.startswith("sqlite") else {"pool_pre_ping": True}
         self._engine = sa.create_engine(url, **options)
-        if _outdated(self._engine):
-            _metadata.drop_all(self._engine)  # a release with other columns; the register holds no work
-        _metadata.create_all(self._engine)
+        deadline = time.monotonic() + wait_s
+        while True:
+            try:
+                self._prepare()
+                return
+            except UnavailableError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(_START_PAUSE_S)
+
+    def _prepare(self) -> None:
+        with _reached():
+            if _outdated(self._engine):
+                _metadata.drop_all(self._engine)  # a release with other columns; the register holds no work
+            _metadata.create_all(self._engine)
+
+    @contextlib.contextmanager
+    def _changing(self) -> Iterator[sa.Connection]:
+        with _reached(), self._engine.begin() as connection:
+            yield connection
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[sa.Connection]:
+        with _reached(), self._engine.connect() as connection:
+            yield connection
+
+    def answers(self) -> bool:
+        """Whether the database can be read."""
+        try:
+            with self._reading() as connection:
+                connection.execute(sa.select(sa.literal(1)))
+        except UnavailableError:
+            return False
+        return True
 
     def close(self) -> None:
         """Release the database."""
@@ -98,7 +146,7 @@ class JobRegister:
             return self._submit(asked, limit)
 
     def _submit(self, asked: JobRequest, limit: int) -> tuple[Job, bool]:
-        with self._engine.begin() as connection:
+        with self._changing() as connection:
             if asked.idempotency_key:
                 earlier = self._by_key(connection, asked.idempotency_key, asked.body_hash)
                 if earlier is not None:
@@ -139,17 +187,24 @@ class JobRegister:
 
     def get(self, job_id: str) -> Job:
         """One job; NotFoundError if there is none of that id."""
-        with self._engine.connect() as connection:
-            row = connection.execute(sa.select(_jobs).where(_jobs.c.id == job_id)).mappings().first()
+        return _job(self._row(job_id, sa.select(_jobs)))
+
+    def status(self, job_id: str) -> JobStatus:
+        """How one job stands: asked for often, so its inputs and outputs are left alone. NotFoundError as ``get``."""
+        return _job_status(self._row(job_id, sa.select(*_STATUS)))
+
+    def _row(self, job_id: str, query: sa.Select[Any]) -> dict[str, Any]:
+        with self._reading() as connection:
+            row = connection.execute(query.where(_jobs.c.id == job_id)).mappings().first()
         if row is None:
             raise NotFoundError("job", job_id)
-        return _job(dict(row))
+        return {str(name): value for name, value in row.items()}
 
-    def all(self, limit: int = 1000) -> list[Job]:
-        """The newest jobs, newest first."""
-        query = sa.select(_jobs).order_by(_jobs.c.sequence.desc()).limit(limit)
-        with self._engine.connect() as connection:
-            return [_job(dict(row)) for row in connection.execute(query).mappings()]
+    def all(self, limit: int = 1000, offset: int = 0) -> list[JobStatus]:
+        """How the newest jobs stand, newest first, after leaving out the ``offset`` newest."""
+        query = sa.select(*_STATUS).order_by(_jobs.c.sequence.desc()).limit(limit).offset(offset)
+        with self._reading() as connection:
+            return [_job_status(dict(row)) for row in connection.execute(query).mappings()]
 
     def update(self, job_id: str, status: Status, **values: Any) -> bool:
         """Move a job on unless it has ended; whether it was moved. ``outputs`` and ``problem`` are mappings."""
@@ -157,21 +212,29 @@ class JobRegister:
             name: json.dumps(value) if name in ("outputs", "problem") else value for name, value in values.items()
         }
         change = sa.update(_jobs).where(_jobs.c.id == job_id, _jobs.c.status.not_in(FINAL))
-        with self._engine.begin() as connection:
+        with self._changing() as connection:
             return connection.execute(change.values(status=status, updated=_now(), **encoded)).rowcount > 0
 
     def free_key(self, job_id: str) -> None:
         """Forget the idempotency key of a job, so that the same request makes a new one."""
-        with self._engine.begin() as connection:
+        with self._changing() as connection:
             connection.execute(sa.update(_jobs).where(_jobs.c.id == job_id).values(idempotency_key=None))
 
     def recover(self, problem: Mapping[str, Any]) -> list[Job]:
         """After a restart: running jobs have failed with ``problem``; the queued ones are returned, oldest first."""
         query = sa.select(_jobs).where(_jobs.c.status == "accepted").order_by(_jobs.c.sequence)
         failed = sa.update(_jobs).where(_jobs.c.status == "running")
-        with self._engine.begin() as connection:
+        with self._changing() as connection:
             connection.execute(failed.values(status="failed", problem=json.dumps(problem), updated=_now()))
             return [_job(dict(row)) for row in connection.execute(query).mappings()]
+
+
+@contextlib.contextmanager
+def _reached() -> Iterator[None]:
+    try:
+        yield
+    except (sa.exc.OperationalError, sa.exc.InterfaceError) as error:
+        raise UnavailableError("The job register cannot be reached or written just now; try again.") from error
 
 
 def _outdated(engine: sa.Engine) -> bool:
@@ -187,6 +250,10 @@ def _check_limit(connection: sa.Connection, owner: str, limit: int) -> None:
     open_jobs = connection.execute(mine).scalar_one()
     if open_jobs >= limit:
         raise TooManyJobsError(f"'{owner}' has {open_jobs} jobs waiting or running; the limit is {limit}.")
+
+
+def _job_status(row: Mapping[Any, Any]) -> JobStatus:
+    return JobStatus(**{**row, "problem": json.loads(row["problem"]) if row["problem"] else None})
 
 
 def _job(row: Mapping[Any, Any]) -> Job:

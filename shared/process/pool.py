@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import json
 import multiprocessing
 import queue
 import threading
+import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Any
+from typing import Any, TypeVar
 
-from shared.process.jobs import Job, JobRegister
+from shared.errors import UnavailableError
+from shared.process.jobs import Job, JobRegister, Status
 from shared.process.metrics import ServiceMetrics
 from shared.process.problem import problem
 from shared.process.worker import WorkerSettings, worker_main
 from shared.settings import ServiceSettings
 from shared.telemetry import correlation_id, logger
 
+Answer = TypeVar("Answer")
+_REGISTER_PAUSE_S = 0.5
 _SPAWN = multiprocessing.get_context("spawn")  # a forked child of a threaded server inherits held locks
 
 
@@ -40,6 +45,7 @@ class WorkerPool:
         self._worker = WorkerSettings(service, module, settings.roots, settings.input_limits, settings.log_level)
         self._queue: queue.Queue[Job | None] = queue.Queue()
         self._ended: dict[str, threading.Event] = {}
+        self._lock = threading.Lock()
         self._slots = [_Slot(self) for _ in range(settings.workers)]
 
     def start(self) -> None:
@@ -65,10 +71,14 @@ class WorkerPool:
     def queued(self) -> int:
         return self._queue.qsize()
 
-    def submit(self, job: Job) -> None:
-        """Queue a job."""
-        self._ended.setdefault(job.id, threading.Event())
+    def submit(self, job: Job) -> bool:
+        """Queue a job; False if it waits or runs here already."""
+        with self._lock:
+            if job.id in self._ended:
+                return False
+            self._ended[job.id] = threading.Event()
         self._queue.put(job)
+        return True
 
     def wait(self, job_id: str, timeout_s: float | None = None) -> Job:
         """The job once it has ended (or as it stands after the timeout)."""
@@ -85,7 +95,8 @@ class WorkerPool:
         self._finish(job_id)
 
     def _finish(self, job_id: str) -> None:
-        event = self._ended.pop(job_id, None)
+        with self._lock:
+            event = self._ended.pop(job_id, None)
         if event is not None:
             event.set()
 
@@ -112,21 +123,43 @@ class _Slot(threading.Thread):
             correlation_id.set(job.correlation_id)
             try:
                 self._serve(job)
-            except Exception as error:  # a full disk or a locked register must not end the slot, which no one restarts
+            except Exception as error:  # whatever it is must not end the slot, which no one restarts
                 logger().error("job lost by its slot", process=job.process, job=job.id, error=repr(error))
+                self._abandon_worker()
             finally:
                 self._pool._finish(job.id)
             if not self._stopping:
                 self._ensure_worker()  # a killed one is replaced before the next job asks for it
 
     def _serve(self, job: Job) -> None:
-        if not self._pool._jobs.update(job.id, "running"):
+        if not self._record(job, "running"):
             return
         with self._pool._metrics.timing(job.process):
             self._work(job)
-        ended = self._pool._jobs.get(job.id)
+        ended = self._patiently(lambda: self._pool._jobs.get(job.id))
         self._pool._metrics.count(job.process, ended.status)
         logger().info("job ended", process=job.process, job=job.id, status=ended.status)
+
+    def _record(self, job: Job, status: Status, **values: Any) -> bool:
+        """Move a job on in the register. What is not recorded would be waited for, for ever."""
+        return self._patiently(lambda: self._pool._jobs.update(job.id, status, **values))
+
+    def _patiently(self, ask: Callable[[], Answer]) -> Answer:
+        """What the register answers, once it can be reached again."""
+        while True:
+            try:
+                return ask()
+            except UnavailableError:
+                if self._stopping:
+                    raise
+                time.sleep(_REGISTER_PAUSE_S)
+
+    def _abandon_worker(self) -> None:
+        """Replace a worker that may still be at its job: what it says must not be taken for the next one's."""
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+        self._connection = None
 
     def stop(self) -> None:
         self._stopping = True
@@ -166,7 +199,7 @@ class _Slot(threading.Thread):
             connection = self._ensure_worker()
             with self._lock:
                 self._job_id = job.id
-            if self._pool._jobs.get(job.id).ended:  # dismissed between the queue and here
+            if self._patiently(lambda: self._pool._jobs.get(job.id)).ended:  # dismissed between the queue and here
                 return
             request = {
                 "job": job.id,
@@ -186,14 +219,16 @@ class _Slot(threading.Thread):
     def _handle(self, job: Job, message: dict[str, Any]) -> bool:
         """Record what the worker says; whether the job has ended."""
         if message["event"] == "progress":
-            self._pool._jobs.update(job.id, "running", progress=message["percent"], message=message["message"])
+            with contextlib.suppress(UnavailableError):  # the next report will do
+                told = {"progress": message["percent"], "message": message["message"]}
+                self._pool._jobs.update(job.id, "running", **told)
             return False
         if message["event"] == "done":
-            self._pool._jobs.update(job.id, "successful", progress=100.0, message="", outputs=message["outputs"])
+            self._record(job, "successful", progress=100.0, message="", outputs=message["outputs"])
             self._pool._metrics.describe(job.process, message["outputs"], message["facts"])
         else:
             detail = message["problem"].get("detail", "")
-            self._pool._jobs.update(job.id, "failed", message=detail, problem=message["problem"])
+            self._record(job, "failed", message=detail, problem=message["problem"])
             logger().warning("job failed", process=job.process, job=job.id, problem=message["problem"])
         return True
 
@@ -206,5 +241,5 @@ class _Slot(threading.Thread):
             return
         detail = "The worker process that ran this job was killed; nothing of it remains. Submit the job again."
         lost = problem(500, "about:blank", "The worker was lost", detail)
-        if self._pool._jobs.update(job.id, "failed", message=detail, problem=lost):
+        if self._record(job, "failed", message=detail, problem=lost):
             logger().error("worker lost", process=job.process, job=job.id)

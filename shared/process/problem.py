@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,8 +22,10 @@ STATUS: dict[type[BaseException], tuple[int, str, str]] = {
     errors.ConflictError: (409, "about:blank", "The request contradicts an earlier one"),
     errors.NotAllowedError: (403, "about:blank", "Not allowed"),
     errors.TooManyJobsError: (429, "about:blank", "Too many jobs at once"),
+    errors.UnavailableError: (503, "about:blank", "Not available just now"),
     ValidationError: (422, "about:blank", "The request does not fit the process description"),
 }
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NOT_FOUND = {
     "process": (404, _OGC + "no-such-process", "No such process"),
     "job": (404, _OGC + "no-such-job", "No such job"),
@@ -48,6 +51,9 @@ def problem_of(error: BaseException) -> dict[str, Any]:
         if ancestor in STATUS:
             status, kind, title = STATUS[ancestor]
             return _mapped(status, kind, title, error)
+    if isinstance(error, OSError) and error.errno in _NO_ROOM:
+        detail = "The disk of the artifacts is full; nothing of this job remains. Make room and submit it again."
+        return problem(507, "about:blank", "No room for the products", detail)
     detail = "The fault is logged under the correlation id of this request."
     return problem(500, "about:blank", "The service failed", detail)
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Annotated, Any
 
 import anyio
 import anyio.to_thread
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import JSONResponse, Response
 
 from shared.errors import NotAllowedError
 from shared.process import description
-from shared.process.jobs import Job
+from shared.process.jobs import JobStatus
 from shared.process.problem import problem
 from shared.process.problem_answer import problem_response
 from shared.process.service import Answer, ExecuteRequest, Service
@@ -38,7 +38,7 @@ def _base(request: Request) -> str:
 
 
 @router.get("/", summary="Landing page")
-def landing(request: Request) -> dict[str, Any]:
+async def landing(request: Request) -> dict[str, Any]:
     base = _base(request)
     pages = {
         "/": ("self", "this page"),
@@ -55,21 +55,21 @@ def landing(request: Request) -> dict[str, Any]:
 
 
 @router.get("/conformance", summary="Conformance classes")
-def conformance() -> dict[str, Any]:
+async def conformance() -> dict[str, Any]:
     return {"conformsTo": description.CONFORMANCE}
 
 
-@router.get("/processes", summary="Processes offered")
-def processes(request: Request) -> dict[str, Any]:
+@router.get("/processes", summary="Processes offered", response_model=dict[str, Any])
+async def processes(request: Request) -> Response:
     base = _base(request)
     listed = [description.summary(process, base) for process in _service(request).processes.values()]
     link = {"href": f"{base}/processes", "rel": "self", "type": "application/json", "title": "this list"}
-    return {"processes": listed, "links": [link]}
+    return JSONResponse({"processes": listed, "links": [link]})
 
 
-@router.get("/processes/{process_id}", summary="One process: its inputs and outputs")
-def process(request: Request, process_id: str) -> dict[str, Any]:
-    return description.description(_service(request).process(process_id), _base(request))
+@router.get("/processes/{process_id}", summary="One process: its inputs and outputs", response_model=dict[str, Any])
+async def process(request: Request, process_id: str) -> Response:
+    return JSONResponse(description.description(_service(request).process(process_id), _base(request)))
 
 
 @router.post(
@@ -116,22 +116,34 @@ async def _body(request: Request, limit: int) -> bytes | Response:
     return body or b"{}"
 
 
-@router.get("/jobs", summary="Jobs, newest first")
-def jobs(request: Request) -> dict[str, Any]:
+@router.get("/jobs", summary="Jobs, newest first", response_model=dict[str, Any])
+def jobs(
+    request: Request,
+    limit: Annotated[int, Query(ge=1, le=1000, description="most jobs in one answer")] = 50,
+    offset: Annotated[int, Query(ge=0, le=2**31, description="leave out so many of the newest")] = 0,
+) -> Response:
     base = _base(request)
-    listed = [_status(job, base) for job in _service(request).jobs.all()]
-    return {"jobs": listed, "links": [{"href": f"{base}/jobs", "rel": "self", "type": "application/json"}]}
+    found = _service(request).jobs.all(limit, offset)
+    links = [_job_page(base, limit, offset, "self", "this list")]
+    if len(found) == limit:
+        links.append(_job_page(base, limit, offset + limit, "next", "older jobs"))
+    return JSONResponse({"jobs": [_status(job, base) for job in found], "links": links})
 
 
-@router.get("/jobs/{job_id}", summary="The state of a job")
-def job_status(request: Request, job_id: str) -> dict[str, Any]:
-    return _status(_service(request).jobs.get(job_id), _base(request))
+def _job_page(base: str, limit: int, offset: int, relation: str, title: str) -> dict[str, str]:
+    query = f"?limit={limit}&offset={offset}" if relation == "next" or offset else ""
+    return {"href": f"{base}/jobs{query}", "rel": relation, "type": "application/json", "title": title}
 
 
-@router.get("/jobs/{job_id}/results", summary="The outputs of a job")
-def job_results(request: Request, job_id: str) -> dict[str, Any]:
+@router.get("/jobs/{job_id}", summary="The state of a job", response_model=dict[str, Any])
+def job_status(request: Request, job_id: str) -> Response:
+    return JSONResponse(_status(_service(request).jobs.status(job_id), _base(request)))
+
+
+@router.get("/jobs/{job_id}/results", summary="The outputs of a job", response_model=dict[str, Any])
+def job_results(request: Request, job_id: str) -> Response:
     service = _service(request)
-    return service.results(service.jobs.get(job_id))
+    return JSONResponse(service.results(service.jobs.get(job_id)))
 
 
 @router.delete("/jobs/{job_id}", summary="Dismiss a job")
@@ -151,11 +163,11 @@ async def healthz() -> dict[str, str]:
 
 
 @router.get(
-    "/readyz", summary="Whether the service can work: a worker is warm and the store writable", tags=["operations"]
+    "/readyz", summary="Whether the service can work: a warm worker, the store, the job register", tags=["operations"]
 )
 def readyz(request: Request) -> Response:
     service = _service(request)
-    checks = {"worker": service.pool.ready, "store": service.store.writable()}
+    checks = {"worker": service.pool.ready, "store": service.store.writable(), "jobs": service.jobs.answers()}
     return JSONResponse({"ready": all(checks.values()), **checks}, status_code=200 if all(checks.values()) else 503)
 
 
@@ -164,7 +176,7 @@ def metrics(request: Request) -> Response:
     return Response(_service(request).metrics.page(), media_type="text/plain; version=0.0.4")
 
 
-def _status(job: Job, base: str) -> dict[str, Any]:
+def _status(job: JobStatus, base: str) -> dict[str, Any]:
     links = [{"href": f"{base}/jobs/{job.id}", "rel": "self", "type": "application/json"}]
     if job.status == "successful":
         relation = "http://www.opengis.net/def/rel/ogc/1.0/results"

@@ -94,12 +94,11 @@ class Service:
         if not is_new and job.status == "successful" and not (done or execution.finished_outputs(step, self.store)):
             self.jobs.free_key(job.id)  # the register remembers a success, but the store, which decides, has lost it
             job, is_new = self.jobs.submit(asked, limit)
-        if is_new:
-            if done is None:
-                logger().info("job accepted", process=process_id, job=job.id, key=step.address.key)
-                self.pool.submit(job)
-            else:
-                self.jobs.update(job.id, "successful", progress=100.0, message="answered from the store", outputs=done)
+        if done is not None:
+            self.jobs.update(job.id, "successful", progress=100.0, message="answered from the store", outputs=done)
+        elif job.status == "accepted" and self.pool.submit(job):
+            # Not only a new one: the answer to the first asking may have been lost after the register had taken it.
+            logger().info("job accepted", process=process_id, job=job.id, key=step.address.key)
         return Answer(self.jobs.get(job.id), wanted)
 
     def _wanted(self, process: Process, request: ExecuteRequest) -> tuple[str, ...] | None:

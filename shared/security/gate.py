@@ -61,10 +61,16 @@ class GateMiddleware:
         if not self._authenticator.configured:
             return LOCAL if is_loopback(scope.get("client")) else _closed()
         presented = credential(Headers(scope=scope))
-        principal = await run_in_threadpool(self._authenticator.holder, presented) if presented else None
+        principal = await self._holder(presented) if presented else None
         if principal is None:
             return _unknown(bool(presented))
         return principal if principal.may(needed) else _not_allowed(principal, needed)
+
+    async def _holder(self, presented: str) -> Principal | None:
+        """Who presents this. A key is looked up at once; for a token, its issuer may have to be asked."""
+        if looks_like_token(presented):
+            return await run_in_threadpool(self._authenticator.holder, presented)
+        return self._authenticator.holder(presented)
 
 
 def credential(headers: Headers) -> str:

@@ -59,7 +59,7 @@ def postgresql() -> Iterator[str]:
     if not programs:
         pytest.skip("needs PostgreSQL's server (Debian: postgresql)")
     folder = Path(tempfile.mkdtemp(prefix="smokeglint-postgresql-"))
-    as_user = _as_other_user(folder)
+    as_user = as_other_user(folder)
     try:
         initdb = [programs[-1].with_name("initdb"), "-D", folder / "data", "-U", "smokeglint", "--auth=trust", "-N"]
         subprocess.run([*as_user, *initdb], check=True, capture_output=True, cwd="/")
@@ -77,7 +77,7 @@ def postgresql() -> Iterator[str]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _as_other_user(folder: Path) -> list[str]:
+def as_other_user(folder: Path) -> list[str]:
     """PostgreSQL refuses to run as root: then as its own user, whom the folder is given to."""
     if os.geteuid() != 0:
         return []

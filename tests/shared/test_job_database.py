@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
+import psycopg
 import pytest
 
-from shared.errors import ConflictError
+from shared.errors import ConflictError, UnavailableError
 from shared.process.jobs import JobRegister, JobRequest
-from tests.shared.servers import postgresql
+from tests.shared.servers import free_port, postgresql
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,21 @@ def test_jobs_survive_their_service(url: str) -> None:
     assert waiting in [job.id for job in again.recover({"title": "restarted", "status": 500})]
     assert (again.get(running).status, again.get(running).problem) == ("failed", {"title": "restarted", "status": 500})
     again.close()
+
+
+def test_a_server_that_was_restarted_is_reached_again(url: str) -> None:
+    register = JobRegister(url)
+    job = ask(register, None)[0]
+    with psycopg.connect(url.replace("+psycopg", ""), autocommit=True) as connection:
+        others = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid()"
+        connection.execute(others + " AND datname = current_database()")
+    assert register.get(job).status == "accepted" and register.answers()
+    register.close()
+
+
+def test_a_server_that_is_not_there_is_said_to_be_away() -> None:
+    with pytest.raises(UnavailableError):
+        JobRegister(f"postgresql+psycopg://smokeglint@127.0.0.1:{free_port()}/postgres", wait_s=0.0)
 
 
 def test_one_key_asked_by_many_at_once_is_one_job(url: str) -> None:

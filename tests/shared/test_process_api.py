@@ -14,6 +14,7 @@ from fastapi.testclient import TestClient
 
 from shared.contracts import tables
 from shared.contracts.schema import read_attributes, read_table
+from shared.errors import UnavailableError
 
 EXECUTE = "/processes/scale-targets/execution"
 
@@ -184,6 +185,47 @@ def test_a_killed_worker_costs_its_job_only(toy: TestClient, root: Path, targets
     assert toy.post(EXECUTE, json={"inputs": {"targets": {"href": "case/targets.parquet"}}}).status_code == 200
 
 
+@pytest.mark.parametrize("outcome", ["full-disk", "full-at-manifest"])
+def test_a_full_disk_costs_the_job_and_leaves_nothing(toy: TestClient, root: Path, outcome: str) -> None:
+    before = {path for path in root.rglob("*") if path.is_dir() and path.parent.name == "sleep"}
+    answer = toy.post("/processes/sleep/execution", json={"inputs": {"seconds": 0, "outcome": outcome}})
+    assert (answer.status_code, answer.json()["title"]) == (507, "No room for the products")
+    assert leftovers(root) == []
+    assert {path for path in root.rglob("*") if path.is_dir() and path.parent.name == "sleep"} == before
+    assert toy.post("/processes/sleep/execution", json={"inputs": {"seconds": 0}}).status_code == 200
+
+
+def test_a_register_that_is_away_for_a_while_costs_nothing(toy: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    register = toy.app.state.service.jobs  # type: ignore[attr-defined]
+    update, refused = register.update, []
+
+    def away(job_id: str, status: str, **values: Any) -> bool:
+        if len(refused) < 4:
+            refused.append(status)
+            raise UnavailableError("away")
+        return bool(update(job_id, status, **values))
+
+    monkeypatch.setattr(register, "update", away)
+    body = {"inputs": {"seconds": 0.02}}
+    assert toy.post("/processes/sleep/execution", json=body).status_code == 200
+    assert refused[:2] == ["running", "running"]
+
+
+def test_a_job_whose_acceptance_was_lost_on_the_way_is_run(toy: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    register = toy.app.state.service.jobs  # type: ignore[attr-defined]
+    submit, body, headers = register.submit, {"inputs": {"seconds": 0.01}}, {"Idempotency-Key": "lost"}
+
+    def lose(*asked: Any) -> Any:
+        submit(*asked)
+        raise UnavailableError("the answer was lost")
+
+    monkeypatch.setattr(register, "submit", lose)
+    refused = toy.post("/processes/sleep/execution", json=body, headers=headers)
+    assert (refused.status_code, refused.headers["Retry-After"]) == (503, "1")
+    monkeypatch.setattr(register, "submit", submit)
+    assert toy.post("/processes/sleep/execution", json=body, headers=headers).status_code == 200
+
+
 def test_a_fault_keeps_its_secret(toy: TestClient, root: Path) -> None:
     answer = toy.post("/processes/sleep/execution", json={"inputs": {"seconds": 0, "outcome": "fault"}})
     assert answer.status_code == 500
@@ -214,6 +256,15 @@ def test_reads_are_answered_while_a_job_runs(toy: TestClient) -> None:
     assert toy.get("/processes").status_code == 200
     thread.join()
     assert answers == [200]
+
+
+def test_jobs_come_in_pages(toy: TestClient) -> None:
+    every = toy.get("/jobs").json()["jobs"]
+    assert len(every) > 3
+    first = toy.get("/jobs", params={"limit": 2}).json()
+    following = {link["rel"]: link["href"] for link in first["links"]}["next"]
+    assert first["jobs"] == every[:2] and toy.get(following).json()["jobs"] == every[2:4]
+    assert toy.get("/jobs", params={"limit": 0}).status_code == 422
 
 
 def test_the_correlation_id_is_kept_or_made(toy: TestClient) -> None:

@@ -152,7 +152,8 @@ def test_a_step_that_another_worker_finished_stays_as_it_is(store: ArtifactStore
     assert store._fs.cat_file(f"{folder_of(store)}/a.txt") == CONTENT["a.txt"]
 
 
-def test_a_commit_cut_short_leaves_no_manifest(store: ArtifactStore, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("store", ["memory", "s3"], indirect=True)
+def test_a_remote_commit_cut_short_leaves_no_manifest(store: ArtifactStore, monkeypatch: pytest.MonkeyPatch) -> None:
     commit(store)
     store._fs.pipe_file(f"{folder_of(store)}/b.json", b"damaged")
     put, seen = store._put, []
@@ -171,7 +172,10 @@ def test_a_commit_cut_short_leaves_no_manifest(store: ArtifactStore, monkeypatch
     assert not any(STAGING in path for path in paths(store))
 
 
-def test_the_manifest_is_put_in_place_last(store: ArtifactStore, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("store", ["memory", "s3"], indirect=True)
+def test_on_a_remote_store_the_manifest_is_put_in_place_last(
+    store: ArtifactStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
     put, order = store._put, []
     monkeypatch.setattr(store, "_put", lambda staged, target: (order.append(target), put(staged, target)))
     commit(store)

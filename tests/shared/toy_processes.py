@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import resource
 import time
+from collections.abc import Iterator
 
 from pydantic import Field
 
@@ -32,7 +35,7 @@ def scale(inputs: ScaleInputs, context: JobContext) -> ScaleOutputs:
 
 class SleepInputs(ProcessInputs):
     seconds: float = Field(ge=0, le=60, description="how long to sleep")
-    outcome: str = Field("well", pattern="^(well|crash|fault)$", description="how to end")
+    outcome: str = Field("well", pattern="^(well|crash|fault|full-disk|full-at-manifest)$", description="how to end")
 
 
 class SleepOutputs(ProcessOutputs):
@@ -41,6 +44,7 @@ class SleepOutputs(ProcessOutputs):
 
 
 def sleep(inputs: SleepInputs, context: JobContext) -> SleepOutputs:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))  # there is room again
     context.new_file("half.txt").write_text("half")
     context.progress(10, "sleeping")
     time.sleep(inputs.seconds)
@@ -48,7 +52,25 @@ def sleep(inputs: SleepInputs, context: JobContext) -> SleepOutputs:
         os._exit(9)
     if inputs.outcome == "fault":
         raise RuntimeError("a secret that must not reach the client")
-    return SleepOutputs(report=context.write_json("report.json", {"slept": float("nan")}), slept_s=inputs.seconds)
+    with contextlib.ExitStack() as disk:
+        if inputs.outcome == "full-disk":
+            disk.enter_context(limit_file_size(10))
+        report = context.write_json("report.json", {"slept": float("nan")})
+    if inputs.outcome == "full-at-manifest":
+        room = context.outputs["report.json"].stat().st_size
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))  # holds when the job is committed
+    return SleepOutputs(report=report, slept_s=inputs.seconds)
+
+
+@contextlib.contextmanager
+def limit_file_size(room_bytes: int) -> Iterator[None]:
+    """No file of this process may grow beyond: the system refuses the write (EFBIG), as it does on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 PROCESSES = [
