@@ -5,6 +5,7 @@ The step takes and gives plain values, so that many fires can run side by side o
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tempfile
 from collections.abc import Mapping
@@ -28,6 +29,8 @@ from services.arrival.metrics import mean_error_h, sorensen
 from services.arrival.paper_method import PaperSettings, fit_paper
 from services.arrival.sight import Passes, Sight, sight_of
 from shared.contracts.grids import FIRE_ARRIVAL, write_netcdf
+
+LONGEST_STEM = 120
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,12 @@ class FireResult:
 
 
 def stem_of(case: FireCase) -> str:
-    """The incident's name in file names."""
-    return re.sub(r"[^A-Za-z0-9._-]", "_", case.incident_id)
+    """The incident's name in file names. One that a file name cannot carry as it is ends in a digest of itself, so
+    that two such incidents never share a file."""
+    plain = re.sub(r"[^A-Za-z0-9._-]", "_", case.incident_id)[:LONGEST_STEM]
+    if plain == case.incident_id:
+        return plain
+    return f"{plain}-{hashlib.sha256(case.incident_id.encode()).hexdigest()[:8]}"
 
 
 def _against_baseline(case: FireCase, arrival: ArrivalMap) -> dict[str, float | None]:

@@ -12,7 +12,7 @@ import pytest
 import shapely
 
 from shared.fan_out import VARIABLE
-from tests.services.arrival.requests import detections_at, file_of, incident_at, report_of, run_request
+from tests.services.arrival.requests import detections_at, file_of, incident_at, product_of, report_of, run_request
 
 FIRES = 64
 COARSE = {"method": "nearest-detection", "cell_m": 2000.0, "margin_km": 2.0}
@@ -69,3 +69,19 @@ def test_dask_gives_the_same_bytes(in_turn: dict[str, Any], tmp_path: Path, monk
         monkeypatch.setenv(VARIABLE, f"dask:{cluster.scheduler_address}")
         spread = run_request(tmp_path, _tables(), **COARSE)
     assert _hashes(spread) == _hashes(in_turn)
+
+
+def test_incidents_whose_names_no_file_can_carry_keep_files_of_their_own(tmp_path: Path) -> None:
+    names = ["a/b", "a:b", "a_b", "a" * 200, "a" * 201]
+    where = PLACES[: len(names)]
+    staged = {
+        "detections": pd.concat([detections_at(lon, lat, 5.0) for lon, lat in where], ignore_index=True),
+        "incidents": pd.concat(
+            [incident_at(shapely.Point(*place), incident_id=name) for place, name in zip(where, names, strict=True)],
+            ignore_index=True,
+        ),
+    }
+    outputs = run_request(tmp_path, staged, **COARSE)
+    inside = {product_of(outputs, index).attrs["incident_id"] for index in range(outputs["incident_count"])}
+    assert inside == set(names)
+    assert "fire_arrival_a_b.nc" in {file_of(ref).name for ref in outputs["fire_arrival"]}
