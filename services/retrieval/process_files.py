@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from services.retrieval import process_models as models
@@ -64,11 +66,15 @@ def read_looks(inputs: models.ObservedInputs, context: JobContext) -> Observatio
     return read_observations(paths, time_from=naive_utc(inputs.time_from), time_to=naive_utc(inputs.time_to))
 
 
-def looks_product(inputs: models.ObservedInputs, context: JobContext) -> dict[str, Any]:
-    """The product attributes of a file made from the observations alone: theirs, and what the files say themselves."""
+def looks_product(
+    inputs: models.ObservedInputs, context: JobContext, further: Sequence[ArtifactRef] = ()
+) -> dict[str, Any]:
+    """The product attributes of a file made from the observations and ``further`` inputs alone: theirs, and what the
+    observation files say themselves.
+    """
     from services.retrieval.level1.reader import is_simulated
 
-    attributes = context.product_attributes(inputs.observations)
+    attributes = context.product_attributes([*inputs.observations, *further])
     share = sum(is_simulated(context.path(reference)) for reference in inputs.observations) / len(inputs.observations)
     share = round(max(share, attributes["simulated_share"]), 4)
     return attributes | {"simulated": share > 0.0, "simulated_share": share}
@@ -96,10 +102,7 @@ def read_soil_moisture(inputs: models.TrainSoilMoistureInputs, context: JobConte
 
 
 def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes: dict[str, Any]) -> None:
-    """Parquet of a table that is no contract between services, with its product attributes in the file's metadata.
-
-    Where the file was not made from all inputs, its attributes differ from the step's; the manifest then says so, too.
-    """
+    """Parquet of a table that is no contract between services, with its product attributes in the file's metadata."""
     import json
 
     import pyarrow as pa
@@ -107,14 +110,28 @@ def write_plain(name: str, table: pd.DataFrame, context: JobContext, attributes:
 
     from shared.contracts.schema import PRODUCT_KEY
 
-    path = context.new_file(name)
-    own = {key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")}
-    if not own.items() <= context.product_attributes().items():
-        context.describe(name, **own)
+    path = new_file(name, context, attributes)
     document = {"table": name.removesuffix(".parquet"), **attributes}
     content = pa.Table.from_pandas(table, preserve_index=False)
     content = content.replace_schema_metadata({PRODUCT_KEY: json.dumps(document, sort_keys=True).encode()})
     pq.write_table(content, str(path), compression="zstd")
+
+
+def new_file(name: str, context: JobContext, attributes: dict[str, Any]) -> Path:
+    """A path for a file of such product attributes: where they differ from the step's, the manifest says so, too."""
+    path = context.new_file(name)
+    own = {key: attributes[key] for key in ("simulated", "simulated_share", "oldest_input")}
+    if not own.items() <= context.product_attributes().items():
+        context.describe(name, **own)
+    return path
+
+
+def burned_area_product(inputs: models.RetrieveBurnedAreaInputs, context: JobContext) -> dict[str, Any]:
+    """The product attributes of burned area: of all inputs but the perimeters, which are only drawn."""
+    if inputs.perimeters is None:
+        return context.product_attributes()
+    maps = (inputs.baseline, inputs.model, inputs.elevation, inputs.land_cover)
+    return looks_product(inputs, context, [*inputs.soil_moisture, *(given for given in maps if given is not None)])
 
 
 def naive_utc(time: Any) -> np.datetime64 | None:

@@ -70,8 +70,9 @@ def retrieve_burned_area(
     model = burned_area.load_model(MODEL_PATH if inputs.model is None else context.path(inputs.model))
     features = burned_area.feature_table(seen.looks, baseline)
     table = burned_products.burned_area_table(seen.looks, model.probability(features), model)
-    attributes = context.product_attributes() | screening_attribute(seen.screening)
-    schema.write_table(context.new_file("burned_area.parquet"), table, tables.BURNED_AREA, attributes)
+    attributes = files.burned_area_product(inputs, context) | screening_attribute(seen.screening)
+    path = files.new_file("burned_area.parquet", context, attributes)
+    schema.write_table(path, table, tables.BURNED_AREA, attributes)
     context.progress(80, "maps")
     refs = _burned_maps(table, model.threshold, perimeters, attributes, context)
     burned = int(table["burned"].sum())
@@ -103,12 +104,13 @@ def _burned_maps(
 
     grid = burned_products.burned_area_grid(table, threshold)
     names = {"grid": "burned_area.nc", "cog": "burned_area.tif", "geojson": "burned_area.geojson"}
+    paths = {output: files.new_file(name, context, attributes) for output, name in names.items()}
     names["map"] = "burned_area.png"
-    paths = {output: context.new_file(name) for output, name in names.items()}
+    drawn = context.product_attributes() | {"screening": attributes["screening"]}
     write_netcdf(paths["grid"], grid, attributes)
     burned_products.write_burned_cog(paths["cog"], grid, attributes)
     burned_products.write_burned_geojson(paths["geojson"], table, attributes)
-    burned_products.burned_area_map(table, paths["map"], attributes, threshold, perimeters)
+    burned_products.burned_area_map(table, context.new_file(names["map"]), drawn, threshold, perimeters)
     return {output: context.ref(name) for output, name in names.items()}
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from services.retrieval.soil_moisture.conformal import site_folds
 from services.retrieval.soil_moisture.quantiles import MIN_ROWS, MIN_SITES, RawIfModel, train_raw_if
-from services.retrieval.soil_moisture.regression import CELL, LIMITS, daily_cells, fit_cells, match, predict
+from services.retrieval.soil_moisture.regression import CELL, LIMITS, daily_cells, fit_cells, match, on_grid, predict
 from services.retrieval.soil_moisture.skill import day_folds, skill
 
 SITE_KM = 50  # the side of a site: looks nearer to each other share soils and rain
@@ -48,7 +48,7 @@ def train(
 ) -> tuple[RawIfModel | None, dict[str, Any]]:
     """The raw-IF model, or None with too few looks, and its report: counts, skill on held-out places and dates."""
     slope = float(reference["incidence_slope_db_per_deg"].iloc[0])
-    pairs = match(looks, truth, slope)
+    pairs = match(on_grid(looks, resolution_km), truth, slope)
     table = cell_days(looks, reference, pairs, resolution_km)
     site = sites(table, resolution_km)
     report: dict[str, Any] = {"method": method, "cell_days": len(table), "sites": int(np.unique(site).size)}
@@ -73,10 +73,11 @@ def held_out(
     daily, _ = daily_cells(looks[looks["mode"] == "raw-if"], reference)
     later = predict(daily[daily["day"] >= cut], fit_cells(early, resolution_km), ["day"], resolution_km)
     later = later.merge(pairs[[*KEYS, "soil_moisture"]], on=KEYS, how="inner")
-    return _by_site(training, later, method, resolution_km)
+    return judged_elsewhere(training, later, method, resolution_km)
 
 
-def _by_site(training: pd.DataFrame, later: pd.DataFrame, method: str, resolution_km: int) -> dict[str, Any]:
+def judged_elsewhere(training: pd.DataFrame, later: pd.DataFrame, method: str, resolution_km: int) -> dict[str, Any]:
+    """Skill on ``later`` cell-days, each site's by a model of other sites' ``training`` ones; empty if too few."""
     here, there = sites(training, resolution_km), sites(later, resolution_km)
     both = np.concatenate([here, there])
     fold = site_folds(both, OUTER_FOLDS)

@@ -25,28 +25,38 @@ from services.retrieval.looks.baseline import CHANGE_FEATURES
 from services.retrieval.looks.features import TEXTURE_FEATURES
 from services.retrieval.simulation.training_world import WorldPlan
 
-TRAINING = [WorldPlan(6100 + n, 33.0 + 0.9 * n, -120.0 + 4.0 * n, first_day="2021-06-01") for n in range(6)]
-CALIBRATION = [WorldPlan(6200 + n, 36.0 - 3.0 * n, -84.0 + 3.0 * n, first_day="2022-07-10") for n in range(2)]
-CONUS = [WorldPlan(6300 + n, 36.5 + 3.0 * n, -108.0 - 6.0 * n, first_day="2023-08-01") for n in range(2)]
 SMALL = {"fires": 150, "fire_radius_km": (0.6, 3.0)}
-ANGOLA = [WorldPlan(6400 + n, -8.5 - 2.8 * n, 16.0 + 3.0 * n, first_day="2023-06-01", **SMALL) for n in range(2)]
+REPLICATES = 5
 FALSE_ALARMS = 0.05
-RESAMPLES = 30
 RAW_IF_SHARE = 0.4  # of the seconds after the ignitions: enough raw-IF looks for a model of their own
+TEXTURE_ALONE = ("incidence_deg", "rx_gain_dbi", *TEXTURE_FEATURES)
 NO_TEXTURE = tuple(name for name in FEATURES if name not in TEXTURE_FEATURES)
 SINGLE = tuple(name for name in FEATURES if name not in CHANGE_FEATURES)
 SINGLE_NO_TEXTURE = tuple(name for name in SINGLE if name not in TEXTURE_FEATURES)
 MODES = {"nominal": False, "raw_if": True}
 
 
+def plans(replicate: int = 0) -> dict[str, list[WorldPlan]]:
+    """Worlds that train and calibrate, and those of the two cases; every replicate has seeds of its own."""
+    seed = 6000 + 10_000 * replicate
+    made: dict[str, list[WorldPlan]] = {name: [] for name in ("training", "calibration", "conus", "angola")}
+    for n in range(6):
+        made["training"].append(WorldPlan(seed + 100 + n, 33.0 + 0.9 * n, -120.0 + 4.0 * n, first_day="2021-06-01"))
+    for n in range(2):
+        made["calibration"].append(WorldPlan(seed + 200 + n, 36.0 - 3.0 * n, -84.0 + 3.0 * n, first_day="2022-07-10"))
+        made["conus"].append(WorldPlan(seed + 300 + n, 36.5 + 3.0 * n, -108.0 - 6.0 * n, first_day="2023-08-01"))
+        made["angola"].append(
+            WorldPlan(seed + 400 + n, -8.5 - 2.8 * n, 16.0 + 3.0 * n, first_day="2023-06-01", **SMALL)
+        )
+    return made
+
+
 @dataclass(frozen=True)
 class Score:
-    """AUC, recall at FALSE_ALARMS and the standard errors of both (by resampling of looks)."""
+    """AUC, and recall at FALSE_ALARMS."""
 
     auc: float
     recall: float
-    auc_error: float
-    recall_error: float
 
 
 def pick(examples: Examples, rows: NDArray[np.bool_]) -> Examples:
@@ -74,10 +84,7 @@ def recall_at(probability: NDArray, burned: NDArray[np.bool_]) -> float:
 
 
 def score(probability: NDArray, burned: NDArray[np.bool_]) -> Score:
-    rng = np.random.default_rng(0)
-    draws = [rng.integers(0, burned.size, burned.size) for _ in range(RESAMPLES)]
-    aucs, recalls = (np.std([measure(probability[d], burned[d]) for d in draws]) for measure in (auc, recall_at))
-    return Score(auc(probability, burned), recall_at(probability, burned), float(aucs), float(recalls))
+    return Score(auc(probability, burned), recall_at(probability, burned))
 
 
 def compare(training: Examples, calibration: Examples, test: Examples) -> dict[str, Score]:
@@ -100,20 +107,30 @@ def compare(training: Examples, calibration: Examples, test: Examples) -> dict[s
             "no texture": NO_TEXTURE,
             "no change": SINGLE,
             "neither": SINGLE_NO_TEXTURE,
+            "texture only": TEXTURE_ALONE,
         }.items():
             found[f"{mode} alone, {name}"] = score(predict(*parts, features), parts[2].burned)
     return found
 
 
-def gain(found: dict[str, Score], mode: str) -> float:
-    """Relative gain in recall that texture brings to a model of one mode that has every other feature."""
-    without = found[f"{mode} alone, no texture"].recall
-    return found[f"{mode} alone, all features"].recall / without - 1.0 if without else float("nan")
+def gains(found: dict[str, Score]) -> dict[str, float]:
+    """Relative gains in recall: by joint training, by texture within a mode, and of raw-IF over nominal maps where
+    there is nothing but their texture.
+    """
+    pairs = {
+        "joint training": ("joint, all features", "nominal only, all features"),
+        "texture, nominal": ("nominal alone, all features", "nominal alone, no texture"),
+        "texture, raw-IF": ("raw_if alone, all features", "raw_if alone, no texture"),
+        "texture of raw-IF over that of nominal": ("raw_if alone, texture only", "nominal alone, texture only"),
+    }
+    recalls = {name: (found[one].recall, found[other].recall) for name, (one, other) in pairs.items()}
+    return {name: one / other - 1.0 if other else float("nan") for name, (one, other) in recalls.items()}
 
 
 def headline() -> dict[str, float]:
     """The benchmark's figures, of the first case: recalls by training, and relative gain in recall by texture."""
-    training, calibration, test = (gather(plans, RAW_IF_SHARE) for plans in (TRAINING, CALIBRATION, CONUS))
+    worlds = plans()
+    training, calibration, test = (gather(worlds[name], RAW_IF_SHARE) for name in ("training", "calibration", "conus"))
     nominal = [pick(part, ~part.raw_if) for part in (training, calibration)]
     figures = {
         "burned_recall_nominal": recall_at(predict(*nominal, test, FEATURES), test.burned),
@@ -126,26 +143,31 @@ def headline() -> dict[str, float]:
     return figures
 
 
-def measure() -> dict[str, dict[str, Score]]:
+def measure(replicate: int = 0) -> dict[str, dict[str, Score]]:
     """The comparison by case: ``conus`` and ``angola``."""
-    training, calibration = gather(TRAINING, RAW_IF_SHARE), gather(CALIBRATION, RAW_IF_SHARE)
-    return {
-        name: compare(training, calibration, gather(plans, RAW_IF_SHARE))
-        for name, plans in (("conus", CONUS), ("angola", ANGOLA))
-    }
+    worlds = plans(replicate)
+    training, calibration = gather(worlds["training"], RAW_IF_SHARE), gather(worlds["calibration"], RAW_IF_SHARE)
+    return {case: compare(training, calibration, gather(worlds[case], RAW_IF_SHARE)) for case in ("conus", "angola")}
 
 
 def main() -> None:
-    """Print the table of the page."""
-    for case, found in measure().items():
+    """Print the tables of the page: means over replicates, and their standard errors (from replicate to replicate)."""
+    found = []
+    for replicate in range(REPLICATES):
+        found.append(measure(replicate))
+        print(replicate, {case: gains(scores) for case, scores in found[-1].items()}, flush=True)
+    for case in ("conus", "angola"):
         print(f"\n{case}\n| model | AUC | recall at 5 % false alarms |\n|---|---|---|")
-        for name, value in found.items():
-            print(
-                f"| {name} | {value.auc:.3f} ± {value.auc_error:.3f} | {value.recall:.3f} ± {value.recall_error:.3f} |"
-            )
-        joint, nominal = found["joint, all features"].recall, found["nominal only, all features"].recall
-        print(f"\nrecall by joint training: {100 * (joint / nominal - 1):+.1f} %")
-        print("recall by texture:", {mode: f"{100 * gain(found, mode):+.1f} %" for mode in MODES})
+        for name in found[0][case]:
+            scores = [one[case][name] for one in found]
+            print(f"| {name} | {_mean([s.auc for s in scores])} | {_mean([s.recall for s in scores])} |")
+        for name in gains(found[0][case]):
+            print(f"gain in recall by {name}: {_mean([100 * gains(one[case])[name] for one in found], 0)} %")
+
+
+def _mean(values: list[float], digits: int = 3) -> str:
+    error = np.std(values, ddof=1) / np.sqrt(len(values))
+    return f"{np.mean(values):.{digits}f} ± {error:.{digits}f}"
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from services.retrieval.soil_moisture import raw_if_training, skill
 from services.retrieval.soil_moisture.regression import match
 from tests.services.retrieval.texas import texas_pairs
 
-WORLDS = [WorldPlan(7300 + n, 30.0 + 6 * n, -104.0 - 5 * n, days_before=30, days_after=0, fires=0) for n in range(1)]
+WORLDS = [WorldPlan(7300 + n, 30.0 + 6 * n, -104.0 - 5 * n, days_before=30, days_after=0, fires=0) for n in range(3)]
 SMAP_NOISE = 0.03
 RAW_IF_SHARE = 0.06
 
@@ -56,23 +56,28 @@ def world_looks(plan: WorldPlan, surface: Surface) -> pd.DataFrame:
 
 
 def simulated(method: str = "cqr") -> list[dict[str, Any]]:
-    """Per world: ``nominal`` ways of holding out at 9 km, and ``raw_if`` at held-out places and dates."""
-    return [_world(plan, method) for plan in WORLDS]
+    """Per world: ``raw_if`` at held-out places and dates; of the first also ``nominal`` ways of holding out at 9 km.
+
+    A world holds some 200 raw-IF cell-days to judge by, whose coverage alone is good to 3 % at best.
+    """
+    return [_world(plan, method, number == 0) for number, plan in enumerate(WORLDS)]
 
 
-def _world(plan: WorldPlan, method: str) -> dict[str, Any]:
+def _world(plan: WorldPlan, method: str, nominal: bool) -> dict[str, Any]:
     surface = make_surface(plan)
     looks, truth = world_looks(plan, surface), smap_like(surface, plan.seed)
     reference = skill.train_reference(looks, truth)
     pairs = match(looks, truth, float(reference["incidence_slope_db_per_deg"].iloc[0]))
     _, raw_if = raw_if_training.train(looks, reference, truth, method)
-    return {"nominal": skill.evaluate(pairs), "raw_if": raw_if}
+    return {**({"nominal": skill.evaluate(pairs)} if nominal else {}), "raw_if": raw_if}
 
 
 def mean_coverage(reports: list[dict[str, Any]], *path: str) -> float:
-    """Coverage over worlds, weighted by their cell-days; ``path`` leads to a skill in a report."""
+    """Coverage over worlds, weighted by their cell-days; ``path`` leads to a skill in a report, where it has it."""
     found = []
     for report in reports:
+        if path[0] not in report:
+            continue
         for name in path:
             report = report[name]
         found.append((report["count"], report["interval90_coverage"]))

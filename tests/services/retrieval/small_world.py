@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from services.retrieval.ease_grid import row_column
 from services.retrieval.simulation.surface import Surface
 from services.retrieval.simulation.training_world import DAY_MS, WorldPlan, make_specular_points, make_surface
 
@@ -67,3 +68,17 @@ def images_of(table: pd.DataFrame, count: int) -> pd.DataFrame:
             "station": "hawaii",
         }
     )
+
+
+def write_smap(path: Path) -> None:
+    """Soil moisture of another sensor: the nature's own with noise, every other day before the fires."""
+    world = surface()
+    latitude, longitude = np.meshgrid(world.latitude_deg, world.longitude_deg, indexing="ij")
+    row, column = row_column(latitude.ravel(), longitude.ravel(), 9)
+    rng = np.random.default_rng(4)
+    parts = []
+    for day in range(0, PLAN.days_before, 2):
+        value = world.soil_moisture[day].ravel() + rng.normal(0.0, 0.02, row.size)
+        table = pd.DataFrame({"row": row, "column": column, "soil_moisture": np.clip(value, 0.02, 0.6)})
+        parts.append(table.assign(time=pd.Timestamp(world.time[day], tz="UTC") + pd.Timedelta(hours=12)))
+    pd.concat(parts).groupby(["time", "row", "column"], as_index=False).mean().to_parquet(path)

@@ -26,20 +26,6 @@ from tests.services.retrieval.running import run as _run
 PLAN = small_world.PLAN
 
 
-def _smap(root: Path) -> None:
-    """Soil moisture of another sensor: the nature's own with noise, every other day before the fires."""
-    surface = small_world.surface()
-    latitude, longitude = np.meshgrid(surface.latitude_deg, surface.longitude_deg, indexing="ij")
-    row, column = row_column(latitude.ravel(), longitude.ravel(), 9)
-    rng = np.random.default_rng(4)
-    parts = []
-    for day in range(0, PLAN.days_before, 2):
-        value = surface.soil_moisture[day].ravel() + rng.normal(0.0, 0.02, row.size)
-        table = pd.DataFrame({"row": row, "column": column, "soil_moisture": np.clip(value, 0.02, 0.6)})
-        parts.append(table.assign(time=pd.Timestamp(surface.time[day], tz="UTC") + pd.Timedelta(hours=12)))
-    pd.concat(parts).groupby(["time", "row", "column"], as_index=False).mean().to_parquet(root / "in/smap.parquet")
-
-
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("store")
@@ -50,7 +36,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_table(folder / "in/before.parquet", before, tables.SPECULAR_POINTS)
     write_table(folder / "in/after.parquet", after, tables.SPECULAR_POINTS)
     write_table(folder / "in/images.parquet", small_world.images_of(after, 60), tables.AS_RUN)
-    _smap(folder)
+    small_world.write_smap(folder / "in/smap.parquet")
     return folder
 
 

@@ -134,6 +134,9 @@ def test_perimeters_are_drawn_and_enter_no_product(root: Path, seen: dict[str, A
     assert blue(with_line) > blue(without) + 300
     one, two = (read_table(_local(r["burned_area"]), tables.BURNED_AREA) for r in (burned, bare))
     assert one["burned_probability"].equals(two["burned_probability"])
+    stated = [read_attributes(_local(made["burned_area"])) for made in (burned, bare)]
+    for name in ("simulated", "simulated_share", "oldest_input", "screening"):
+        assert stated[0][name] == stated[1][name]
 
 
 def test_training_takes_the_union_of_rasters_and_ancillary_layers(root: Path, seen: dict[str, Any]) -> None:

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from services.retrieval.soil_moisture import boosted_normal
+from services.retrieval.soil_moisture import boosted_normal, raw_if_training
 from services.retrieval.soil_moisture.boosted_normal import fit_boosted_normal
-from services.retrieval.soil_moisture.conformal import grouped_quantile, site_folds
-from services.retrieval.soil_moisture.quantiles import FEATURES, load_raw_if, train_raw_if
+from services.retrieval.soil_moisture.conformal import grouped_quantile, independent_scores, site_folds
+from services.retrieval.soil_moisture.quantiles import FEATURES, RawIfModel, load_raw_if, train_raw_if
 from shared.errors import DomainError
 
 
@@ -62,6 +62,53 @@ def test_grouped_quantile_weighs_groups_alike() -> None:
     alone = np.random.default_rng(0).random(99)
     assert grouped_quantile(alone, np.arange(99)) == np.sort(alone)[89]  # ceil(0.9 x 100) of 99: split conformal
     assert grouped_quantile(np.array([1.0, 2.0]), np.array([0, 1])) == 2.0
+
+
+@pytest.mark.parametrize(("groups", "alike"), [(12, 0.0), (12, 0.5), (25, 0.0), (25, 0.9), (60, 0.3)])
+def test_few_sites_neither_fall_short_nor_overshoot(groups: int, alike: float) -> None:
+    """Coverage at new sites over repeated draws, whatever the sites have in common and however few they are."""
+    rng = np.random.default_rng(groups)
+
+    def draw(index: np.ndarray) -> np.ndarray:
+        site = rng.standard_normal(index.max() + 1)[index]
+        return np.abs(np.sqrt(alike) * site + np.sqrt(1.0 - alike) * rng.standard_normal(index.size))
+
+    found = []
+    for _ in range(150):
+        index = np.repeat(np.arange(groups), rng.integers(3, 25, groups))
+        found.append(np.mean(draw(np.repeat(np.arange(200), 10)) <= grouped_quantile(draw(index), index)))
+    assert 0.89 < np.mean(found) < 0.925
+
+
+def test_independent_scores_lie_between_groups_and_looks() -> None:
+    rng = np.random.default_rng(2)
+    index = np.repeat(np.arange(40), 10)
+    assert independent_scores(rng.standard_normal(40)[index], index) == pytest.approx(40, rel=0.02)
+    assert independent_scores(rng.standard_normal(400), index) > 300
+    assert independent_scores(rng.standard_normal(7), np.arange(7)) == 7
+
+
+def test_a_model_is_judged_at_sites_it_has_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each site's later days by a model of other sites' earlier days; skill beside regression and cell mean."""
+    both = []
+    for seed in (0, 1):
+        table, site = _table(40, 12, seed)
+        table = table.assign(row=6 * (site // 8), column=6 * (site % 8), day=seed, soil_moisture_mean=0.2)
+        both.append(table)
+    seen: list[set[int]] = []
+
+    def watched(table: pd.DataFrame, site: np.ndarray, method: str) -> RawIfModel:
+        seen.append(set(site))
+        return train_raw_if(table, site, method)
+
+    monkeypatch.setattr(raw_if_training, "train_raw_if", watched)
+    found = raw_if_training.judged_elsewhere(*both, "cqr", 9)
+    assert len(seen) == raw_if_training.OUTER_FOLDS
+    held = [set(raw_if_training.sites(both[1])) - one for one in seen]
+    assert sum(map(len, held)) == 40 and len(set.union(*held)) == 40
+    assert found["model"]["count"] == found["regression"]["count"] == len(both[1])
+    assert found["model"]["ubrmse"] < found["regression"]["ubrmse"]
+    assert 0.85 < found["model"]["interval90_coverage"] < 0.98
 
 
 def test_sites_stay_together_in_folds() -> None:
