@@ -24,6 +24,7 @@ from flows.stages import KNOWN_INPUTS
 from flows.steps import ASSEMBLE_INPUTS, SCORE, SCORE_PERIMETER, SITUATION
 from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables
+from shared.memory import give_back_freed_memory
 
 PLAIN = "no-feedback"
 PERIMETERS = "perimeters"
@@ -138,6 +139,7 @@ def _cycle(
         return replace(products, steps={**products.steps, **_publish(runner, run.case, inputs, products)})
 
     finished: CycleProducts | CyclePaused = run.as_flow(part, whole)
+    give_back_freed_memory()
     return finished
 
 

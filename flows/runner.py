@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from shared.artifacts.roots import Roots
+from flows.timings import note_seconds
+from shared.artifacts.roots import Roots, is_local, local_path
 from shared.artifacts.store import ArtifactStore
 from shared.client import ProcessClient
 from shared.process import Process, execution
@@ -82,11 +83,26 @@ class DirectRunner:
 
     def _finish(self, process: str, outputs: dict[str, Any], begun: float) -> dict[str, Any]:
         self.made.append(outputs)
+        self._note(process, outputs, time.monotonic() - begun)
         self._show(process, 100, "", begun, done=True)
         return outputs
 
+    def _note(self, process: str, outputs: Mapping[str, Any], seconds: float) -> None:
+        """Keep how long it took, under the folder of the step; a store elsewhere has no place for such a log."""
+        root, step = self.store.roots.artifact_root, step_folder(outputs)
+        if step and is_local(root):
+            note_seconds(local_path(root), self.case, self.cycle, process, step, seconds)
+
     def _show(self, process: str, percent: float, message: str, begun: float, *, done: bool) -> None:
         self.display(StepEvent(self.cycle, process, percent, message, time.monotonic() - begun, done))
+
+
+def step_folder(outputs: Any) -> str:
+    """``case/cycle/step/key`` of the first reference among outputs; empty if there is none."""
+    if isinstance(outputs, Mapping) and "href" in outputs and "sha256" in outputs:
+        return "/".join(str(outputs["href"]).split("/")[-5:-1])
+    inner = outputs.values() if isinstance(outputs, Mapping) else outputs if isinstance(outputs, list) else ()
+    return next((found for found in map(step_folder, inner) if found), "")
 
 
 def flow_code_version() -> str:

@@ -174,6 +174,7 @@ def observe(
             "previous_as_run": before.as_run,
             "duration_s": settings.cycle_hours * 3600,
             "level1_latency_s": round(settings.level1_latency_h * 3600),
+            "release_after_s": round(settings.release_after_h * 3600),
         },
     )
     common = {"surface": case.nature["surface"], "seed": settings.seed}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import typer
 from rich.console import Console
 
-from flows.commands import cases, deciding, ingesting, keeping, keys, products, running, serving
+from flows.commands import cases, deciding, ingesting, keeping, keys, latency, products, running, serving
 from shared.errors import SmokeglintError
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.command("run")(running.run)
 app.command("serve")(serving.serve)
 app.command("status")(products.status)
 app.command("products")(products.products)
+app.command("latency")(latency.latency)
 app.command("ingest")(ingesting.ingest)
 app.command("backup")(keeping.backup)
 app.command("restore")(keeping.restore_root)

@@ -104,7 +104,20 @@ def _numbers(root: Path, steps: Steps) -> dict[str, str]:
     if "execute" in steps:
         done = steps["execute"].outputs
         told["executed"] = f"{done['collected']} recorded, {done['downlinked']} down, {done['lost']} lost"
+        told |= _latency(root, steps["execute"])
     return told
+
+
+def _latency(root: Path, executed: Manifest) -> dict[str, str]:
+    """From observation to product, in hours of the cycle's time; empty for cycles that an older release executed."""
+    if "latency.json" not in executed.files:
+        return {}
+    modes = json.loads((root / _path(executed, "latency.json")).read_bytes())["modes"]
+    spreads = {mode: row["observed_to_product_h"] for mode, row in modes.items() if row["observations"]}
+    return {
+        f"observation to product, {mode}": f"median {hours['median']} h, longest {hours['longest']} h"
+        for mode, hours in spreads.items()
+    }
 
 
 def _fires(root: Path, steps: Steps) -> list[dict[str, Any]]:

@@ -11,11 +11,15 @@ import pandas as pd
 
 @dataclass(frozen=True)
 class SortedPoints:
-    """Specular points (contract ``specular_points``): delivered in nominal mode, in raw-IF mode, and not yet."""
+    """Specular points (contract ``specular_points``): delivered in nominal mode, in raw-IF mode, and not yet.
+
+    ``nominal_down_at`` says when each of the nominal ones came down.
+    """
 
     nominal: pd.DataFrame
     raw_if: pd.DataFrame
     pending: pd.DataFrame
+    nominal_down_at: pd.Series[Any]
 
 
 def sort_points(
@@ -47,7 +51,7 @@ def sort_points(
         nominal_due=owing[waits], nominal_down_at=down_at[waits].where(down_at[waits] <= end)
     )
     plain = points.drop(columns=["nominal_due", "nominal_down_at"], errors="ignore")
-    return SortedPoints(plain[arrived], plain[down], pending)
+    return SortedPoints(plain[arrived], plain[down], pending, down_at[arrived])
 
 
 def nominal_delivery(points: pd.DataFrame, contacts: pd.DataFrame) -> pd.Series[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import TYPE_CHECKING
 
 from pydantic import Field
@@ -10,6 +11,8 @@ from shared.process import ArtifactRef, JobContext, Process, ProcessInputs, Proc
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from flows.steps.delivery import SortedPoints
 
 
 class ExecuteInputs(ProcessInputs):
@@ -23,6 +26,7 @@ class ExecuteInputs(ProcessInputs):
     duration_s: int = Field(gt=0, description="length of the cycle, s")
     loss_share: float = Field(0.02, ge=0, le=1, description="share of downlinked images lost in transmission")
     level1_latency_s: int = Field(7200, ge=0, description="from the end of a contact to level-1 data, nominal mode")
+    release_after_s: int = Field(3600, ge=0, description="from the end of the cycle to the release of the next plan")
 
 
 class ExecuteOutputs(ProcessOutputs):
@@ -31,6 +35,7 @@ class ExecuteOutputs(ProcessOutputs):
     nominal_points: ArtifactRef
     raw_if_points: ArtifactRef
     pending_points: ArtifactRef
+    latency: ArtifactRef
     collected: int
     downlinked: int
     lost: int
@@ -42,6 +47,7 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
     import pandas as pd
 
     from flows.steps import delivery
+    from flows.steps.latency import latency_budget
     from flows.steps.replay import execute_schedule
     from shared.contracts import tables
     from shared.contracts.spacecraft import Spacecraft
@@ -65,6 +71,12 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
     if inputs.pending_points is not None:
         points = pd.concat([context.read_table(inputs.pending_points, "SPECULAR_POINTS"), points], ignore_index=True)
     sorted_points = delivery.sort_points(points, done.as_run, contacts, end, inputs.level1_latency_s)
+    budget = latency_budget(
+        _delivered(done.as_run, sorted_points, inputs.level1_latency_s),
+        contacts,
+        end,
+        timedelta(seconds=inputs.release_after_s),
+    )
     horizon = {"horizon_start": end.to_pydatetime(), "satellites": {n: s.model_dump() for n, s in done.states.items()}}
     following = spacecraft.at_horizon(horizon)
     counts = done.as_run["status"].value_counts()
@@ -75,11 +87,25 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
         nominal_points=context.write_table("nominal_points.parquet", sorted_points.nominal, "SPECULAR_POINTS"),
         raw_if_points=context.write_table("raw_if_points.parquet", sorted_points.raw_if, "SPECULAR_POINTS"),
         pending_points=context.write_table("pending_points.parquet", sorted_points.pending, "SPECULAR_POINTS"),
+        latency=context.write_json("latency.json", budget),
         collected=int((as_run["start"] >= pd.Timestamp(spacecraft.horizon_start)).sum()),
         downlinked=int(counts.get("downlinked", 0)),
         lost=int(counts.get("lost", 0)),
         stored=int(counts.get("collected", 0)),
     )
+
+
+def _delivered(as_run: pd.DataFrame, points: SortedPoints, level1_latency_s: int) -> dict[str, pd.DataFrame]:
+    """Observations that this cycle's products are made of: when observed, downlinked and ready, by mode."""
+    import pandas as pd
+
+    down = as_run[as_run["status"] == "downlinked"]
+    raw_if = pd.DataFrame(
+        {"observed": down["start"], "downlinked": down["downlinked_at"], "ready": down["downlinked_at"]}
+    )
+    nominal = pd.DataFrame({"observed": points.nominal["time"], "downlinked": points.nominal_down_at})
+    nominal["ready"] = nominal["downlinked"] + pd.Timedelta(seconds=level1_latency_s)
+    return {"raw-if": raw_if, "nominal": nominal}
 
 
 def _read_or_empty(context: JobContext, reference: ArtifactRef | None, contract: str) -> pd.DataFrame:

@@ -14,6 +14,7 @@ from shared.artifacts.roots import Roots
 from shared.artifacts.store import ArtifactStore
 from shared.contracts.limits import InputLimits
 from shared.lifeline import end_with_parent
+from shared.memory import give_back_freed_memory
 from shared.process import execution
 from shared.process.declaration import Process
 from shared.process.problem import problem_of
@@ -46,6 +47,7 @@ def worker_main(connection: Connection, settings: WorkerSettings) -> None:
             return
         correlation_id.set(request["correlation_id"])
         _send(connection, _run(connection, processes[request["process"]], request, store, version, settings))
+        give_back_freed_memory()
 
 
 def load_processes(module: str) -> dict[str, Process]:
