@@ -25,10 +25,12 @@ from shared.errors import DomainError
 
 FloatArray = NDArray[np.float64]
 
-CELL_FEATURES = ("estimate", "soil_moisture_mean", "anomaly_db", "count")
+CELL_FEATURES = ("soil_moisture_mean", "anomaly_db", "count")
 FEATURES = (*CELL_FEATURES, *STRENGTH_FEATURES, *SHAPE_FEATURES, *TEXTURE_FEATURES)
 QUANTILES = (0.05, 0.5, 0.95)
-RISING = ("anomaly_db", "reflectivity_db")  # wetter soil reflects more
+# Wetter soil reflects more: what rises with reflectivity never lowers the departure, and the regression's estimate that
+# it is added to rises by itself. The estimate is no feature, for a departure that fell with it could outweigh it.
+RISING = ("anomaly_db", "reflectivity_db", "snr_db")
 PARAMETERS = {
     "objective": "reg:quantileerror",
     "quantile_alpha": np.array(QUANTILES),

@@ -48,8 +48,11 @@ def test_interval_covers_nine_in_ten_at_sites_never_seen(method: str) -> None:
 def test_estimate_rises_with_reflectivity() -> None:
     table, site = _table(30, 20, 2)
     model = train_raw_if(table, site)
-    one = pd.concat([table.iloc[[3]]] * 41, ignore_index=True).assign(anomaly_db=np.linspace(-10.0, 10.0, 41))
-    assert (np.diff(model.interval(one)[:, 1]) >= -1e-7).all()
+    rise = np.linspace(-10.0, 10.0, 41)
+    one = pd.concat([table.iloc[[3]]] * 41, ignore_index=True)
+    moved = {name: one[name] + rise for name in ("anomaly_db", "reflectivity_db", "snr_db")}
+    one = one.assign(**moved, estimate=one["estimate"] + 0.002 * rise)
+    assert (np.diff(model.interval(one), axis=0) >= -1e-7).all()
     assert model.interval(one)[-1, 1] > model.interval(one)[0, 1] + 0.02
 
 
