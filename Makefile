@@ -29,7 +29,7 @@ $(READY):
 
 setup: $(READY) ## set up the environment only
 
-demo: $(READY) ## run two daily cycles of a case: CASE=demo (simulated), tiny, black-2022 (real; needs SMOKEGLINT_DATA)
+demo: $(READY) ## run a case: CASE=demo or tiny (simulated); real, with SMOKEGLINT_DATA: black-2022, la-2025, smokehouse-2024, conus-2023-07-05; live
 	@$(PY) -m flows.demo --case $(CASE) --root $(ROOT)
 
 test: $(READY) ## all tests, in parallel

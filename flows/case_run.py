@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from flows.case_store import BUNDLE, CALIBRATION, calibrate, import_into_store
+from flows.case_store import BUNDLE, CALIBRATION, calibrate, first_bundle, import_into_store, inputs_of_cycle
 from flows.cases.bundle import Case
 from flows.catalogue import write_catalogue
 from flows.comparison import compare_cycles, local_file, read_reference
@@ -19,6 +20,7 @@ from flows.desk.approval import CyclePaused, Desk, NobodyDecides
 from flows.loop import run_cycle
 from flows.loop_types import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
 from flows.profiles import Profile
+from flows.published_day import PUBLISHED_ROWS, ROWS, map_priorities, plan_rows
 from flows.runner import DirectRunner, Display
 from flows.stages import KNOWN_INPUTS
 from flows.steps import ASSEMBLE_INPUTS, SCORE, SCORE_PERIMETER, SITUATION
@@ -40,6 +42,7 @@ class CaseResult:
     shown: list[Path]
     stale_runs: int
     paused: CyclePaused | None = None
+    planner_rows: Sequence[Mapping[str, Any]] = ()
 
 
 @dataclass
@@ -87,7 +90,7 @@ def run_case(
     stale = close_stale_runs()
     run = _CaseRun(case, store, urls, display, profile, desk, now, [])
     settings = profile.settings
-    inputs = run.as_flow(BUNDLE, lambda runner: import_into_store(runner, case))
+    inputs = run.as_flow(BUNDLE, lambda runner: import_into_store(runner, first_bundle(case)))
     inputs = run.as_flow(
         CALIBRATION,
         lambda runner: calibrate(runner, inputs, profile.calibration_days, profile.calibration_step_s, settings.seed),
@@ -96,7 +99,10 @@ def run_case(
     before = Handover()
     paused: CyclePaused | None = None
     for number in numbers:
-        last = _cycle(run, inputs, number, before, feedback, cycle_label(_cutoff(case, number, settings)))
+        label = cycle_label(_cutoff(case, number, settings))
+        if case.bundles:
+            inputs = run.as_flow(f"{BUNDLE}-{label}", partial(inputs_of_cycle, case=case, first=inputs, number=number))
+        last = _cycle(run, inputs, number, before, feedback, label)
         if isinstance(last, CyclePaused):
             paused = last
             break
@@ -112,13 +118,20 @@ def run_case(
         plain = _cycle(without, inputs, numbers[-1], before, frozenset(), f"{done[-1].label}-{PLAIN}")
         assert isinstance(plain, CycleProducts)
         changes = compare_cycles(done[-1].steps, plain.steps)
-    perimeters = _perimeter_scores(run, inputs) if "perimeters" in inputs.inputs else []
-    times = _times(case, done)
+    # Detections simulated over the perimeters would score themselves.
+    seen = not case.provenance["detections"].simulated
+    perimeters = _perimeter_scores(run, inputs) if seen and "perimeters" in inputs.inputs else []
+    rows: Mapping[str, Any] = {}
+    if PUBLISHED_ROWS in inputs.inputs:  # plans of their own: no step of the cycle, whose plan is the one on board
+        rows = run.as_flow(ROWS, lambda runner: plan_rows(runner, inputs, done[-1]))
+    times = _times(case, done[-1], [_cutoff(case, number, settings) for number in numbers])
     catalogue = write_catalogue(store, root, case.name, case.title, case.region, times, run.made)
     shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
     last_maps = [perimeters[-1]["map"]] if perimeters else done[-1].steps["infer-fire-arrival"]["maps"]
     shown += [local_file(reference) for reference in last_maps]
-    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, paused)
+    if rows:
+        shown += [local_file(done[-1].steps["priority-map"]["map"]), local_file(rows["table"])]
+    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, paused, rows.get("rows", []))
 
 
 def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
@@ -146,7 +159,7 @@ def _cycle(
 def _publish(
     runner: PrefectRunner, case: Case, inputs: CaseInputs, cycle: CycleProducts
 ) -> dict[str, Mapping[str, Any]]:
-    """The map and the scores of a finished cycle."""
+    """The map and the scores of a finished cycle; of a day with published planner rows also the map of priorities."""
     steps = cycle.steps
     # On a real case the surface that the simulator sees was itself made from the perimeters: no truth to score with.
     truth = inputs.nature.get("truth") if case.simulated else None
@@ -168,7 +181,10 @@ def _publish(
         "truth": truth,
     }
     scored = {"fire_arrival": arrival, "burned_area": burned, "at": cycle.end.isoformat(), "truth": truth}
-    return {"situation": runner.local(SITUATION, drawn), "score": runner.local(SCORE, scored)}
+    made = {"situation": runner.local(SITUATION, drawn), "score": runner.local(SCORE, scored)}
+    if PUBLISHED_ROWS in inputs.inputs:
+        made["priority-map"] = map_priorities(runner, inputs, case.title, cycle)
+    return made
 
 
 def _perimeter_scores(run: _CaseRun, inputs: CaseInputs) -> list[Mapping[str, Any]]:
@@ -209,7 +225,8 @@ def _score_one(runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, row: An
     return {"incident_id": row.incident_id, "time": time.isoformat(), "map": map_of, **values}
 
 
-def _times(case: Case, done: Sequence[CycleProducts]) -> dict[str, Any]:
+def _times(case: Case, last: CycleProducts, cutoffs: Sequence[datetime]) -> dict[str, Any]:
     """The time of each part of the case, for its catalogue."""
-    parts = {BUNDLE: case.first_cutoff, CALIBRATION: case.first_cutoff, PERIMETERS: done[-1].end}
-    return parts | {c.label: c.cutoff for c in done} | {f"{done[-1].label}-{PLAIN}": done[-1].cutoff}
+    parts = {BUNDLE: case.first_cutoff, CALIBRATION: case.first_cutoff, PERIMETERS: last.end, ROWS: last.cutoff}
+    parts |= {f"{BUNDLE}-{cycle_label(cutoff)}": cutoff for cutoff in cutoffs}
+    return parts | {cycle_label(cutoff): cutoff for cutoff in cutoffs} | {f"{last.label}-{PLAIN}": last.cutoff}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import timedelta
 
-from flows.cases.bundle import CASE_FILE, Case
+from flows.cases.bundle import CASE_FILE, Case, read_case
 from flows.loop_types import CaseInputs
 from flows.runner import Runner
 from flows.steps import IMPORT_CASE
@@ -23,6 +23,17 @@ def import_into_store(runner: Runner, case: Case) -> CaseInputs:
     }
     made = runner.local(IMPORT_CASE, bundle)
     return CaseInputs(case.name, case.region, case.first_cutoff, made["inputs"], made["nature"])
+
+
+def inputs_of_cycle(runner: Runner, case: Case, first: CaseInputs, number: int) -> CaseInputs:
+    """What a cycle of a case with a bundle for each starts from, with the calibration of the ``first``."""
+    own = import_into_store(runner, read_case(case.bundles[number - 1]))
+    return replace(own, first_cutoff=case.first_cutoff, reference=first.reference, baseline=first.baseline)
+
+
+def first_bundle(case: Case) -> Case:
+    """The bundle that a case begins with."""
+    return read_case(case.bundles[0]) if case.bundles else case
 
 
 def calibrate(runner: Runner, case: CaseInputs, days: int, step_s: int, seed: int) -> CaseInputs:

@@ -17,17 +17,19 @@ from pathlib import Path
 from rich.console import Console
 
 from flows.cases.bundle import Case, read_case
-from flows.desk.approval import AwaitingApproval, PeopleDecide
-from flows.display import ConsoleDisplay, comparison_table, cycle_table, perimeter_table
+from flows.clock import now_utc
+from flows.desk.approval import AwaitingApproval, CycleUnderWay, PeopleDecide
+from flows.display import ConsoleDisplay, comparison_table, cycle_table, perimeter_table, planner_table
 from flows.loop_types import FEEDBACKS
 from flows.prefect_server import running_prefect_server
-from flows.profiles import profile_of
+from flows.profiles import PAPER_DAYS, profile_of
 from flows.runner import flow_code_version, open_store
 from flows.services import SERVICES, running_services, wait_until_ready
 from shared.errors import DomainError, SmokeglintError
 
 SIMULATED = ("tiny", "demo")
-REAL = ("black-2022",)
+REAL = ("black-2022", *PAPER_DAYS)
+LIVE = "live"
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _options(arguments: Sequence[str] | None) -> RunOptions:
     parser = argparse.ArgumentParser(prog="python -m flows.demo", description="Run two daily cycles of a case.")
-    parser.add_argument("--case", default="demo", help=f"{', '.join(SIMULATED + REAL)}, or a folder with case.toml")
+    parser.add_argument(
+        "--case", default="demo", help=f"{', '.join((*SIMULATED, *REAL, LIVE))}, or a folder with case.toml"
+    )
     parser.add_argument("--root", type=Path, default=Path("artifacts"), help="folder for all artifacts")
     parser.add_argument("--cycles", type=int, default=0, help="how many cycles; as the case says if left out")
     parser.add_argument("--cycle-hours", type=int, default=24, choices=(6, 12, 24), help="length of a cycle")
@@ -113,13 +117,15 @@ def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str
     numbers = range(1, (options.cycles or case.cycles) + 1)
     desk = PeopleDecide.of_case(options.root, case.name, automatic=options.approve)
     again_plain = not options.plain
-    result = run_case(
-        case, store, options.root, urls, display, chosen, feedback, numbers, again_plain=again_plain, desk=desk
-    )
+    given = (case, store, options.root, urls, display, chosen, feedback, numbers)
+    now = now_utc() if options.case == LIVE else None  # of a live cycle only what can have happened by now is run
+    result = run_case(*given, again_plain=again_plain, desk=desk, now=now)
     if result.stale_runs:
         console.print(f"Closed {result.stale_runs} flow run(s) that an earlier, killed run had left open.")
     if isinstance(result.paused, AwaitingApproval):
         console.print(f"{result.paused} Look at it, decide ('smokeglint approve --help'), and run this again.")
+    if isinstance(result.paused, CycleUnderWay):
+        console.print(f"{result.paused} Run this again then; its plan is under {options.root / case.name}.")
     if not result.cycles:
         return
     console.print()
@@ -128,13 +134,22 @@ def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str
         console.print(comparison_table(result.changes, result.cycles[-1].label))
     if result.perimeters:
         console.print(perimeter_table(result.perimeters))
+    if result.planner_rows:
+        console.print(planner_table(result.planner_rows))
     console.print("Look at:")
     for path in result.shown:
         console.print(f"  {path}", highlight=False)
 
 
 def build_case(name: str, root: Path) -> Case:
-    """The case of that name, built under ``root/.cases`` unless this very code has built it already."""
+    """The case of that name, built under ``root/.cases`` unless this very code has built it already.
+
+    ``live`` is never built here: it is made of what was fetched, bundle by bundle (``flows.cases.live``).
+    """
+    if name == LIVE:
+        from flows.cases.live.bundles import read_live
+
+        return read_live(root)
     folder = root / ".cases" / f"{name}-{flow_code_version().split('+')[1]}" if name in SIMULATED + REAL else Path(name)
     if name not in SIMULATED + REAL or (folder / "case.toml").exists():
         return read_case(folder)
@@ -145,6 +160,10 @@ def build_case(name: str, root: Path) -> Case:
         from flows.cases.simulated import build_simulated_case
 
         build_simulated_case(name, fresh)
+    elif name in PAPER_DAYS:
+        from flows.cases.paper_days.build import build_paper_day
+
+        build_paper_day(name, real_data(), fresh)
     else:
         from flows.cases.black_2022 import build_black_2022
 

@@ -135,3 +135,25 @@ def perimeter_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
+
+
+def planner_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Published planner rows, each with ours of the same day under it."""
+    table = Table(
+        title="Planner rows as published, and ours (rewards are on scales of their own)", title_justify="left"
+    )
+    table.add_column("test")
+    for column in ("gap", "time", "reward: plan / available", "active", "pre-fire"):
+        table.add_column(column, justify="right")
+    for row in rows:
+        ours = row["whose"] == "ours"
+        reward = f"{row['reward_planned']:.1f} / {row['reward_available']:.1f} ({100 * row['reward_share']:.1f} %)"
+        counts = (_share(row, "active"), _share(row, "prefire"))
+        name = "  ours" if ours else row["test"]
+        table.add_row(name, f"{row['gap']:.4f}", row["solve_time"], reward, *counts, end_section=ours)
+    return table
+
+
+def _share(row: Mapping[str, Any], kind: str) -> str:
+    planned, available = row[f"{kind}_planned"], row[f"{kind}_available"]
+    return "–" if not available else f"{planned} / {available} ({100 * planned / available:.1f} %)"

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 from flows.loop_types import LoopSettings
 
+PAPER_DAYS = ("la-2025", "smokehouse-2024", "conus-2023-07-05")
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -40,7 +42,20 @@ _DEMO = Profile(
     calibration_days=10,
     calibration_step_s=1,
 )
-_PROFILES = {"tiny": _TINY}
+# A day of the paper: the whole country for 24 h. What is observed there is simulated, so little is spent on it, and on
+# the plan of the loop, which the rows beside the paper's follow with plans of their own.
+_PAPER_DAY = Profile(
+    LoopSettings(
+        overlap_hours=0,
+        targets={"active_spacing_km": 10, "prefire_spacing_deg": 0.1087},
+        planning={"time_limit_s": 300, "mip_gap": 0.02, "work_limit": 4},
+        arrival={"cell_m": 1000, "epochs": 10, "ensemble": 2, "formats": ["pictures"]},
+    ),
+    calibration_days=2,
+    calibration_step_s=20,
+)
+_LIVE = replace(_DEMO, calibration_days=6, calibration_step_s=5)
+_PROFILES = {"tiny": _TINY, "live": _LIVE, **dict.fromkeys(PAPER_DAYS, _PAPER_DAY)}
 
 
 def profile_of(case: str, cycle_hours: int = 24) -> Profile:

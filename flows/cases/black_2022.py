@@ -9,8 +9,6 @@ from pathlib import Path
 import geopandas
 import numpy as np
 import pandas as pd
-import rasterio
-from scipy.interpolate import RegularGridInterpolator
 
 from flows.cases.bundle import Case, Provenance, iso, write_case
 from flows.cases.constellation import constellation_provenance, write_ground_and_spacecraft
@@ -22,6 +20,7 @@ from flows.cases.nature.soil import smap_table, surface_dataset
 from flows.cases.nature.spread import FireGrid
 from flows.cases.nature.weather import analysis_dataset, forecast_dataset
 from flows.cases.simulated import ANALYSIS_DAYS, with_points, write_plain_table
+from flows.cases.vegetation import ndvi_at
 from flows.cases.wfigs import area_reports, arrival_between, trusted_perimeters
 from shared.contracts import tables
 from shared.contracts.grids import FUELS, write_netcdf
@@ -63,7 +62,8 @@ def build_black_2022(
     shutil.copyfile(source["transmitters"], root / "transmitters.tle")
     write_ground_and_spacecraft(root, first_cutoff, setting.cycle_hours * 3600)
     fire = _write_fire(root, source, setting)
-    _write_simulated(root, run, fire, _ndvi(source, setting))
+    nodes = setting.mesh(setting.fuels_step_deg)
+    _write_simulated(root, run, fire, ndvi_at(source["ndvi"], source["ndvi_range"], 5, *nodes))
     files = {name: f"{name}.parquet" for name in ("stations", "incidents", "incident_reports", "detections")}
     files |= {name: f"{name}.parquet" for name in ("smap", "perimeters")}
     files |= {name: f"{name}.nc" for name in ("weather_analysis", "weather_forecast", "fuels")}
@@ -157,24 +157,6 @@ def _write_simulated(root: Path, run: NatureRun, fire: FireGrid, ndvi: dict[str,
     derived = {"simulated": True, "source": "shared out between WFIGS perimeters; no observation"}
     write_netcdf(root / "truth.nc", truth_dataset(setting, (fire,), reference), derived)
     write_plain_table(root / "smap.parquet", smap_table(setting, run.land, run.weather))
-
-
-def _ndvi(source: dict[str, Path], setting: Setting) -> dict[str, FloatArray]:
-    """NDVI of May 2001 and that year's extremes at the fuel grid's nodes, bilinear."""
-    month = _sampled(source["ndvi"], 5, setting)
-    low, high = _sampled(source["ndvi_range"], 1, setting), _sampled(source["ndvi_range"], 2, setting)
-    return {"ndvi": np.clip(month, low, high), "ndvi_min": low, "ndvi_max": high}
-
-
-def _sampled(path: Path, band: int, setting: Setting) -> FloatArray:
-    with rasterio.open(path) as raster:
-        values = raster.read(band).astype(np.float64) / 10_000.0
-        step, left, top = raster.transform.a, raster.transform.c, raster.transform.f
-    longitude = left + step * (np.arange(values.shape[1]) + 0.5)
-    latitude = top - step * (np.arange(values.shape[0]) + 0.5)
-    across, up = setting.mesh(setting.fuels_step_deg)
-    inside = RegularGridInterpolator((latitude[::-1], longitude), values[::-1])
-    return np.asarray(inside((up, across)))
 
 
 def _provenance(setting: Setting) -> dict[str, Provenance]:

@@ -42,7 +42,8 @@ class Case:
     """A case as its ``case.toml`` tells it.
 
     ``region`` is lon_min, lat_min, lon_max, lat_max in degrees. ``inputs`` may enter the loop (each under its
-    known-at rule); ``nature`` is for ``simulate-observations`` and for scoring, and for nothing else.
+    known-at rule); ``nature`` is for ``simulate-observations`` and for scoring, and for nothing else. ``bundles`` are
+    the folders of the cycles' own inputs, where each has its own (a live case); empty: one bundle serves all.
     """
 
     folder: Path
@@ -56,6 +57,7 @@ class Case:
     inputs: Mapping[str, Path]
     nature: Mapping[str, Path]
     provenance: Mapping[str, Provenance]
+    bundles: tuple[Path, ...] = ()
 
     def path(self, logical: str) -> Path:
         """The file or folder behind a logical name of ``inputs`` or ``nature``; MissingArtifactError if unknown."""

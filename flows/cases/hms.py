@@ -30,10 +30,16 @@ def hms_fires(path: Path, region: tuple[float, float, float, float], start: str,
     Analysts' points and geostationary ones are left out. Footprints are the nominal pixel of the instrument,
     confidence is not given by HMS (null), delivery is three hours after the overpass as stated.
     """
-    table = pd.read_parquet(path)
+    return hms_looks(pd.read_parquet(path), region, pd.Timestamp(start, tz="UTC"), pd.Timestamp(end, tz="UTC"))
+
+
+def hms_looks(
+    table: pd.DataFrame, region: tuple[float, float, float, float], start: pd.Timestamp, end: pd.Timestamp
+) -> pd.DataFrame:
+    """As ``hms_fires``, of a table with lon_deg, lat_deg, time (UTC), satellite, method and frp_mw."""
     west, south, east, north = region
     inside = table.lon_deg.between(west, east) & table.lat_deg.between(south, north) & table.method.isin(list(METHODS))
-    span = (table.time >= pd.Timestamp(start, tz="UTC")) & (table.time < pd.Timestamp(end, tz="UTC"))
+    span = (table.time >= start) & (table.time < end)
     table = table[inside & span].drop_duplicates(["time", "satellite", "lat_deg", "lon_deg"])
     table = table.sort_values(["time", "satellite", "lat_deg", "lon_deg"]).reset_index(drop=True)
     size = table.method.map(lambda method: METHODS[method][1])

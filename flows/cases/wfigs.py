@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from flows.cases.nature.spread import FireGrid
 from flows.cases.scoring import polygonal
 
+KM2_PER_ACRE = 0.0040468564224
 TRUSTED_WITHIN = pd.Timedelta(hours=36)
 
 
@@ -84,7 +85,7 @@ def arrival_between(
 
 def area_reports(perimeters: geopandas.GeoDataFrame) -> pd.DataFrame:
     """The reported areas as they became known: incident_id, known_at, area_km2."""
-    reports: Sequence[float] = np.round(perimeters.acres * 0.0040468564224, 1)
+    reports: Sequence[float] = np.round(perimeters.acres * KM2_PER_ACRE, 1)
     return pd.DataFrame(
         {"incident_id": perimeters.incident_id, "known_at": perimeters.known_at, "area_km2": reports}
     ).reset_index(drop=True)

@@ -9,10 +9,11 @@ from typing import Annotated
 
 import typer
 
+from flows.clock import now_utc
 from flows.commands.options import CaseName, Root
 from flows.demo import build_case
 from flows.prefect_server import running_prefect_server
-from flows.serving.live import LiveSettings, now_utc, rate_now, run_due_cycles
+from flows.serving.live import LiveSettings, rate_now, run_due_cycles
 from shared.errors import DomainError
 
 

@@ -15,7 +15,7 @@ from flows.ingest.taking import Checked, Offer, Source
 WFIGS = "https://services3.arcgis.com/T4QMspbfLg3qTGWY/arcgis/rest/services"
 FIRMS = "https://firms.modaps.eosdis.nasa.gov"
 HMS = "https://satepsanone.nesdis.noaa.gov"
-_LAYERS = {
+LAYERS = {
     "incidents": ("WFIGS_Incident_Locations_Current", "ModifiedOnDateTime_dt"),
     "perimeters": ("WFIGS_Interagency_Perimeters_Current", "poly_DateCurrent"),
 }
@@ -26,7 +26,7 @@ _HMS_COLUMNS = {"lon", "lat", "yearday", "time", "satellite", "method"}
 
 def wfigs(layer: str, offset: int = 0, *, base: str = WFIGS) -> Source:
     """A page of the current ``incidents`` or ``perimeters``; ``more_pages`` says whether another follows."""
-    service, changed = _LAYERS[layer]
+    service, changed = LAYERS[layer]
     query = {
         "where": "1=1",
         "outFields": "*",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -72,7 +72,7 @@ def take(source: Source, folder: Path, now: datetime, client: httpx.Client) -> T
     StaleSourceError names what every offer answered.
     """
     problems: list[str] = []
-    kept = newest_kept(source, folder)
+    kept = next(kept_files(source.name, folder), None)
     for offer in source.offers:
         try:
             checked = fetch_checked(client, offer.request, offer.check, source.limits)
@@ -96,17 +96,16 @@ def take(source: Source, folder: Path, now: datetime, client: httpx.Client) -> T
     return Taken(**{**vars(kept), "problems": tuple(problems)})
 
 
-def newest_kept(source: Source, folder: Path) -> Taken | None:
-    """The kept file of the newest data whose content is still what its record says."""
-    records = sorted((folder / source.name).glob(f"*{_RECORD}"), reverse=True)
-    for record in records:
+def kept_files(source: str, folder: Path) -> Iterator[Taken]:
+    """The kept files of a source whose content is still what its record says, newest data first."""
+    for record in sorted((folder / source).glob(f"*{_RECORD}"), reverse=True):
         told = json.loads(record.read_bytes())
         path = record.with_name(told["file"])
         if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == told["sha256"]:
             time = datetime.fromisoformat(told["data_time"])
-            return Taken(source.name, path, time, told["provider"], False, ())
-        logger().error("a kept file is damaged and left out", source=source.name, file=told["file"])
-    return None
+            yield Taken(source, path, time, told["provider"], False, ())
+        else:
+            logger().error("a kept file is damaged and left out", source=source, file=told["file"])
 
 
 def _keep(source: Source, folder: Path, checked: Checked, request: Request, problems: tuple[str, ...]) -> Taken:

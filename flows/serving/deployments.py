@@ -12,8 +12,9 @@ from typing import Any
 from prefect import flow, serve
 from prefect.client.schemas.objects import ConcurrencyLimitConfig, ConcurrencyLimitStrategy
 
+from flows.clock import now_utc
 from flows.cycle import close_stale_runs
-from flows.serving.live import LiveSettings, now_utc, rate_now, run_due_cycles
+from flows.serving.live import LiveSettings, rate_now, run_due_cycles
 from shared.telemetry import configure_logging, logger
 
 DAILY, HOURLY = "daily-cycle", "hourly-ratings"

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 from flows.case_store import BUNDLE, import_into_store
-from flows.cases.bundle import Case
+from flows.cases.bundle import Case, read_case
+from flows.cases.live.build import NAME as LIVE
+from flows.cases.live.bundles import add_bundle, has_bundle, read_frame
 from flows.demo import build_case, named_services, only_run
 from flows.desk.approval import PeopleDecide
 from flows.desk.decisions import DecisionLog
 from flows.desk.standing import plan_standings
+from flows.ingest.sources import fetch_all
 from flows.loop_types import FEEDBACKS, cycle_label
 from flows.profiles import profile_of
 from flows.runner import DirectRunner, StepEvent, open_store
@@ -22,8 +24,6 @@ from flows.services import running_services, wait_until_ready
 from flows.serving.due import Missed, cycles_begun, cycles_to_run, hour_of
 from flows.serving.ratings import rate_hour, ratings_label
 from shared.telemetry import logger
-
-CLOCK = "SMOKEGLINT_CLOCK"  # a fixed time instead of the machine's: for tests, and to go through a past season
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,12 @@ class LiveSettings:
     cycle_hours: int = 24
 
 
-def now_utc() -> datetime:
-    """The time it is, or the one that the environment sets."""
-    fixed = os.environ.get(CLOCK, "")
-    return datetime.fromisoformat(fixed).astimezone(UTC) if fixed else datetime.now(UTC)
-
-
 def run_due_cycles(settings: LiveSettings, now: datetime) -> str:
     """Go through the cycles that are due, as far as each can be taken by now; a line says how far that was."""
     from flows.case_run import run_case  # prefect reads its settings when it is imported
 
     with only_run(settings.root):
-        case = build_case(settings.case, settings.root)
+        case = _present_case(settings, now)
         begun = min(cycles_begun(case.first_cutoff, settings.cycle_hours, now), case.cycles)
         if begun == 0:
             return f"The first cycle of {case.name} begins at {case.first_cutoff:%Y-%m-%d %H:%M} UTC."
@@ -69,7 +63,8 @@ def rate_now(settings: LiveSettings, now: datetime) -> str:
     """Rate the active fires known at the hour that has begun."""
     hour = hour_of(now)
     with only_run(settings.root, wait_s=1800.0):
-        case = build_case(settings.case, settings.root)
+        case = _present_case(settings, now)
+        case = read_case(case.bundles[-1]) if case.bundles else case
         with _services(settings) as urls:
             store = open_store(settings.root, case.folder)
             bundle = DirectRunner(urls, store, f"{case.name}-{BUNDLE}", _log_step, case.name, BUNDLE)
@@ -77,6 +72,16 @@ def rate_now(settings: LiveSettings, now: datetime) -> str:
             runner = DirectRunner(urls, store, f"{case.name}-{label}", _log_step, case.name, label)
             rated = rate_hour(runner, import_into_store(bundle, case), hour)
     return f"{case.name}: ratings of {hour:%Y-%m-%d %H:%M} UTC in {rated['ratings']['href']}"
+
+
+def _present_case(settings: LiveSettings, now: datetime) -> Case:
+    """The case; of the live one, where its cycle has no bundle yet, the providers are asked and the bundle is made."""
+    if settings.case == LIVE and not has_bundle(settings.root, now):
+        frame = read_frame(settings.root)
+        for line in fetch_all(frame.area, frame.ingested, now).said:
+            logger().info("fetched", source=line)
+        add_bundle(settings.root, now)
+    return build_case(settings.case, settings.root)
 
 
 def _planned(settings: LiveSettings, case: Case) -> set[int]:

@@ -7,6 +7,8 @@ from flows.steps.horizon import SET_HORIZON
 from flows.steps.import_case import IMPORT_CASE
 from flows.steps.observed import OBSERVED_PLACES
 from flows.steps.perimeter_score import SCORE_PERIMETER
+from flows.steps.planner_rows import ACTIVE_ONLY, PLANNER_ROWS
+from flows.steps.priority_map import PRIORITY_MAP
 from flows.steps.score import SCORE
 from flows.steps.situation import SITUATION
 from flows.steps.uplink import UPLINK
@@ -22,4 +24,7 @@ LOCAL_STEPS = [
     SITUATION,
     SCORE,
     SCORE_PERIMETER,
+    PRIORITY_MAP,
+    ACTIVE_ONLY,
+    PLANNER_ROWS,
 ]

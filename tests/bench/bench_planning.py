@@ -49,16 +49,6 @@ GUARD_S = {"60s": 55.0, "600s": 3600.0}
 FLEETS = (7, 15, 30, 60)
 FLEET_WORK = 10.0
 TARGETS_PER_SATELLITE = 100_000 / 30
-PAPER = (
-    ("LA 2025-01-08, active and pre-fire", 0.005, "3 h", 47993, 48345, 136, 136, 15209, 19034),
-    ("LA 2025-01-08, active and pre-fire, gap 0.01", 0.0086, "41 min", 47863, 48345, 136, 136, 14434, 19034),
-    ("LA 2025-01-08, active only", 0.0001, "0.01 s", 46741, 46741, 136, 136, None, None),
-    ("TX 2024-02-26, active and pre-fire", 0.007, "3 h", 156294, 157968, 359, 359, 19702, 22119),
-    ("TX 2024-02-26, active and pre-fire, gap 0.01", 0.0099, "22.6 min", 155856, 157968, 359, 359, 19427, 22119),
-    ("TX 2024-02-26, active only", 0.0001, "0.01 s", 108046, 108046, 359, 359, None, None),
-)
-"""The paper's Table 1: test, gap, time, reward planned and available, active and pre-fire targets planned and
-available. The targets of ``planning/`` are of that size, not the same."""
 
 
 def measure(case: str, craft: str, kind: str, budget: str) -> dict[str, Any]:
@@ -159,8 +149,9 @@ def short() -> None:
 
 
 def long() -> None:
-    for values in PAPER:
-        test, gap, seconds, *rest = values
+    from flows.cases.paper_days.published_rows import PUBLISHED_ROWS
+
+    for test, gap, seconds, *rest in PUBLISHED_ROWS:
         table_row(test, gap, seconds, tuple(rest), "paper")
     for case in NOTED_BOUNDS:
         our_row(f"{case}, active only", in_fresh_process(case, "spacecraft.json", "active"))

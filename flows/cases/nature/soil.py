@@ -80,14 +80,18 @@ def _static_surface(setting: Setting, land: Land, across: FloatArray, up: FloatA
     }
 
 
-def ease_cells(setting: Setting) -> pd.DataFrame:
-    """EASE-Grid 2.0 9 km cells whose centre lies in the region: row, column, longitude_deg, latitude_deg."""
+def ease_cells(setting: Setting, every: int = 1) -> pd.DataFrame:
+    """EASE-Grid 2.0 9 km cells whose centre lies in the region: row, column, longitude_deg, latitude_deg.
+
+    ``every``: only those whose row and column it divides.
+    """
     forward = Transformer.from_crs(4326, 6933, always_xy=True)
     west, south, east, north = setting.region
     x, y = forward.transform(np.array([west, east]), np.array([south, north]))
     first_column, last_column = np.floor((x - EASE_X_MIN_M) / EASE_CELL_M).astype(int)
     last_row, first_row = np.floor((EASE_Y_MAX_M - y) / EASE_CELL_M).astype(int)
     columns, rows = np.arange(first_column, last_column + 1), np.arange(first_row, last_row + 1)
+    columns, rows = columns[columns % every == 0], rows[rows % every == 0]
     column, row = (part.ravel() for part in np.meshgrid(columns, rows))
     longitude, latitude = Transformer.from_crs(6933, 4326, always_xy=True).transform(
         EASE_X_MIN_M + (column + 0.5) * EASE_CELL_M, EASE_Y_MAX_M - (row + 0.5) * EASE_CELL_M
@@ -97,13 +101,13 @@ def ease_cells(setting: Setting) -> pd.DataFrame:
     return cells[inside].reset_index(drop=True)
 
 
-def smap_table(setting: Setting, land: Land, weather: Weather) -> pd.DataFrame:
+def smap_table(setting: Setting, land: Land, weather: Weather, every: int = 1) -> pd.DataFrame:
     """SMAP-like soil moisture of the days before the first cut-off: time, row, column, soil_moisture.
 
     At 6 h local solar time, every second or third day a cell, with an error of 0.03 m³/m³ a look and none later
-    than a day before the first cut-off (its latency).
+    than a day before the first cut-off (its latency). ``every``: of every so manieth row and column only.
     """
-    cells = ease_cells(setting)
+    cells = ease_cells(setting, every)
     across, up = cells.longitude_deg.to_numpy(), cells.latitude_deg.to_numpy()
     moisture, hours = daily_soil_moisture(setting, land, weather, across, up)
     rng = setting.generator("smap")
