@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+TIMES = ("observed", "downlinked", "ready")
 PAPER_H = 30.0  # the upper end of the paper's 6 to 30 h from observation to product
 
 
@@ -37,7 +38,9 @@ def latency_budget(
     }
 
 
-def _budget(table: pd.DataFrame, end: pd.Timestamp, board_h: float) -> dict[str, Any]:
+def _budget(given: pd.DataFrame, end: pd.Timestamp, board_h: float) -> dict[str, Any]:
+    # Columns without rows may come without a time zone.
+    table = pd.DataFrame({name: pd.to_datetime(given[name], utc=True) for name in TIMES})
     product_h = hours(end - table["observed"])
     return {
         "observations": len(table),

@@ -172,7 +172,7 @@ def readyz(request: Request) -> Response:
 
 
 @router.get("/metrics", summary="Prometheus metrics", tags=["operations"])
-def metrics(request: Request) -> Response:
+async def metrics(request: Request) -> Response:
     return Response(_service(request).metrics.page(), media_type="text/plain; version=0.0.4")
 
 

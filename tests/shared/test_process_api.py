@@ -6,6 +6,7 @@ import json
 import re
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,14 @@ def wait_for(client: TestClient, job_id: str, *statuses: str) -> dict[str, Any]:
             return status
         time.sleep(0.05)
     raise AssertionError(f"job never became {statuses}: {status}")
+
+
+def wait_ready(client: TestClient) -> None:
+    for _ in range(400):
+        if client.get("/readyz").status_code == 200:
+            return
+        time.sleep(0.05)
+    raise AssertionError("the service never became ready")
 
 
 def leftovers(root: Path) -> list[str]:
@@ -256,6 +265,13 @@ def test_reads_are_answered_while_a_job_runs(toy: TestClient) -> None:
     assert toy.get("/processes").status_code == 200
     thread.join()
     assert answers == [200]
+
+
+def test_many_readers_at_once_meet_no_error(toy: TestClient) -> None:
+    pages = ["/", "/processes", "/processes/sleep", "/jobs", "/metrics", "/readyz"] * 15
+    wait_ready(toy)
+    with ThreadPoolExecutor(50) as readers:
+        assert set(readers.map(lambda page: toy.get(page).status_code, pages)) == {200}
 
 
 def test_jobs_come_in_pages(toy: TestClient) -> None:

@@ -46,8 +46,10 @@ def test_each_step_is_what_a_clock_says() -> None:
     assert told["satellites_not_reached"] == 1
 
 
-def test_a_cycle_that_brought_nothing_down_has_no_hours() -> None:
-    told = latency_budget({"raw-if": observations()}, contacts(("A", 1)), at(24), timedelta(hours=1))
+@pytest.mark.parametrize("dtype", ["datetime64[ms, UTC]", "datetime64[ns]", "object"])
+def test_a_cycle_that_brought_nothing_down_has_no_hours(dtype: str) -> None:
+    nothing = observations().assign(downlinked=pd.Series([], dtype=dtype), ready=pd.Series([], dtype=dtype))
+    told = latency_budget({"raw-if": nothing}, contacts(("A", 1)), at(24), timedelta(hours=1))
     raw_if = told["modes"]["raw-if"]
     assert (raw_if["observations"], raw_if["share_within_30_h"]) == (0, None)
     assert raw_if["observed_to_product_h"] == {"median": None, "p95": None, "longest": None}
