@@ -105,6 +105,10 @@ def _check(schedule: pd.DataFrame, request: Request, answer: Answer) -> None:
     scale = max(1.0, abs(answer.reward))
     if abs(verdict.objective - answer.reward) > 1e-6 * scale:
         raise PlanningBugError(f"the plan claims {answer.reward} but its replay observes {verdict.objective}")
+    if abs(verdict.fragile_cost - answer.fragile_cost) > 1e-6 * scale:
+        raise PlanningBugError(
+            f"the plan claims that fragile looks cost {answer.fragile_cost} but its replay finds {verdict.fragile_cost}"
+        )
     if verdict.dropped_images != answer.dropped_images:
         raise PlanningBugError(
             f"the plan claims {answer.dropped_images} dropped images but its replay counts {verdict.dropped_images}"

@@ -14,12 +14,11 @@ from services.planning.data_cycles import Chunks, build_chunks
 from services.planning.downlinks import Timeline, emit_timeline
 from services.planning.early import earlier_images
 from services.planning.greedy import complete, greedy_images
+from services.planning.guidance import Guidance, exact_guidance, is_large, rough_guidance
 from services.planning.milp import DataCycleModel, build_model
 from services.planning.problem import BoolArray, IntArray, PlanningProblem
-from services.planning.quotas import whole_quotas
-from services.planning.search.guided import search_plan, search_start
-from services.planning.solving import Solution, branch_and_bound, solve_relaxation, trivial_bound
-from services.planning.subgradient import guided_multipliers
+from services.planning.search.guided import Start, quick_plan, refined_plan, search_plan, search_start
+from services.planning.solving import Solution, branch_and_bound, trivial_bound
 from services.planning.timeline import TOLERANCE_WH, battery_wh
 from shared.errors import DomainError
 
@@ -27,13 +26,13 @@ SMALL_ENTRIES = 12_000
 """Image-target pairs (reduced) up to which branch and bound runs first."""
 PROVEN_GAP = 1e-8
 """A relative gap that is rounding: nothing is left to search for."""
-LARGE_ENTRIES = 500_000
-"""Pairs beyond which an interior point takes longer than averaged subgradients deserve."""
 NODES = 400
 ROUNDS = 6
 MOVES_PER_UNIT = 1_000_000
 DEFAULT_WORK = 20.0
-QUOTA_GUARD_S = 20.0
+EXACT_SHARE, ROUNDS_PER_UNIT = 0.2, 0.1
+"""Of work beyond the default, the share that goes on exact improvement by halves, and rounds for each unit of it all:
+annealing gains little then."""
 
 Progress = Callable[[float, str], None]
 
@@ -256,29 +255,39 @@ def _search(
     problem: PlanningProblem, chunks: Chunks, coverage: Coverage, model: DataCycleModel, seed: IntArray | None,
     first: Solution | None, options: Options, clock: Clock, progress: Progress,
 ) -> tuple[IntArray, float, bool]:  # fmt: skip
-    """Images, proven bound and whether time cut it: relaxation, quotas, annealing. Reports all three on the way."""
-    _tell(progress, 16, "relaxation", problem.objective(greedy_images(problem, chunks)), trivial_bound(model))
-    large = len(coverage.group) > LARGE_ENTRIES
-    if large:
-        relaxation = guided_multipliers(model, chunks, coverage)
-    else:
-        relaxation = solve_relaxation(model, max(5.0, clock.left() * 0.7))
+    """Images, proven bound and whether time cut it: guidance, quick search beside it, long search after it."""
+    greedy = greedy_images(problem, chunks)
+    bound = min(trivial_bound(model), first.bound if first is not None else np.inf)
+    _tell(progress, 16, "relaxation", problem.objective(greedy), bound)
+    extra = max(0.0, options.work_limit - DEFAULT_WORK)
+    moves = int((options.work_limit - extra * EXACT_SHARE) * MOVES_PER_UNIT)
+    rounds = int(extra * ROUNDS_PER_UNIT)
+
+    def quick() -> tuple[Guidance, Start, IntArray]:
+        rough = rough_guidance(model, chunks, coverage, clock.left)
+        start = search_start(problem, chunks, coverage, rough.relaxation, rough.quotas, seed)
+        return rough, start, quick_plan(start, moves, clock.left)
+
     with ThreadPoolExecutor(max_workers=2) as pool:
-        tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, QUOTA_GUARD_S, not large)
-                 for guide in (True, False)]  # fmt: skip
-        guide, proof = (task.result() for task in tasks)
-    bound = min(relaxation.bound, proof.bound, first.bound if first is not None else np.inf)
-    start = search_start(problem, chunks, coverage, relaxation, guide, seed)
-    moves = int(options.work_limit * MOVES_PER_UNIT)
+        task = pool.submit(quick)
+        better = None if is_large(coverage) else exact_guidance(model, chunks, coverage, clock.left)
+        rough, start, known = task.result()
+    bound = min(bound, rough.bound, better.bound if better is not None else np.inf)
+    if better is not None:
+        start = search_start(problem, chunks, coverage, better.relaxation, better.quotas, seed)
 
     def guard(done: int, images: IntArray) -> bool:
-        percent = 45 + 35 * done / max(1, moves)
-        _tell(progress, percent, f"search {done}/{moves} steps", problem.objective(images), bound)
+        shown = max(problem.objective(images), problem.objective(known))
+        _tell(progress, 45 + 35 * done / max(1, moves), f"search {done}/{moves} steps", shown, bound)
         return clock.left() <= 0
 
-    images, cut = search_plan(start, moves, guard)
-    slow = relaxation.time_limited or guide.time_limited or (first is not None and first.time_limited)
-    return images, bound, cut or slow
+    images, cut = search_plan(start, moves, guard, clock.left)
+    images, late = refined_plan(start, images, rounds, lambda done, better: guard(moves, better), clock.left)
+    cut |= late
+    cut |= (better is None and not is_large(coverage)) or rough.time_limited
+    cut |= any(found is not None and found.time_limited for found in (better, first))
+    candidates = [images, known] if seed is not None else [images, known, greedy]
+    return max(candidates, key=problem.objective), bound, cut
 
 
 def _tell(progress: Progress, percent: float, stage: str, incumbent: float, bound: float) -> None:

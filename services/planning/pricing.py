@@ -48,7 +48,7 @@ def _without_each(request: Request) -> Iterator[tuple[str, Any, Request]]:
     """(name, value, the request without it) for every option in force."""
     rules, off = request.rules, OperationRules()
     simple = ("min_collect_s", "mode_switch_s", "max_commands_per_day", "acquisition_s", "nominal_share",
-              "change_penalty")  # fmt: skip
+              "change_penalty", "fragile_discount")  # fmt: skip
     for name in simple:
         if getattr(rules, name) != getattr(off, name):
             yield name, getattr(rules, name), replace(request, rules=replace(rules, **{name: getattr(off, name)}))

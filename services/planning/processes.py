@@ -77,6 +77,11 @@ class PlanningInputs(ProcessInputs):
     change_penalty: float = Field(
         0.0, ge=0, description="reward given up for each image of the previous schedule that could be kept and is not"
     )
+    fragile_discount: float = Field(
+        0.0, ge=0, le=1,
+        description="share of a target's reward lost where it is observed only by looks that the satellite's "
+        "along-track error may spoil: not covered both ahead and behind in the opportunities",
+    )  # fmt: skip
     min_collect_s: int = Field(1, ge=1, description="shortest recording, s: unbroken collects of one satellite")
     mode_switch_s: int = Field(0, ge=0, description="idle seconds between a recording and a downlink")
     max_commands_per_day: int | None = Field(
@@ -134,10 +139,10 @@ class PlanObservationsOutputs(ProcessOutputs):
     images: ArtifactRef = Field(description="table: planned images with reward, end of downlink and latency")
     target_outcomes: ArtifactRef = Field(description="table: every target, observed by what or why not")
     changes: ArtifactRef | None = Field(description="CSV: commands kept, dropped and added against the previous plan")
-    objective: float = Field(description="equation 1 (ten times active plus pre-fire rewards) less what changes cost")
+    objective: float = Field(description="equation 1 (ten times active plus pre-fire) less changes and fragile looks")
     bound: float = Field(description="proven upper bound on the objective of any plan")
     gap: float = Field(description="(bound - objective) / bound")
-    reward: float = Field(description="equation 1 alone: the objective where changes cost nothing")
+    reward: float = Field(description="equation 1 alone: the objective where changes and fragile looks are free")
     targets_planned: int = Field(description="targets observed at least once")
     time_limited: bool = Field(description="true where the time guard cut the work short")
 
@@ -194,6 +199,7 @@ def _rules(inputs: PlanningInputs, context: JobContext) -> OperationRules:
         booked=None if booked is None else context.read_table(booked, "CONTACTS"),
         acquisition_s=inputs.acquisition_s, nominal_share=inputs.nominal_share, outages=outages,
         target_changes=changes, frozen_until=utc(inputs.frozen_until), change_penalty=inputs.change_penalty,
+        fragile_discount=inputs.fragile_discount,
     )  # fmt: skip
 
 
@@ -231,6 +237,7 @@ def check_plan(inputs: CheckPlanInputs, context: JobContext) -> CheckPlanOutputs
         "violations": [vars(violation) for violation in verdict.violations],
         "stored_at_end": verdict.stored_at_end, "battery_at_end_wh": verdict.battery_at_end_wh,
         "dropped_images": verdict.dropped_images, "change_cost": verdict.change_cost,
+        "fragile_targets": verdict.fragile_targets, "fragile_cost": verdict.fragile_cost,
     }  # fmt: skip
     return CheckPlanOutputs(
         report=context.write_json("report.json", document),

@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 
 from services.planning.building import build_problem
+from services.planning.options.robustness import with_fragile_discount
 from services.planning.options.rules import OperationRules
-from services.planning.options.wishes import Keepable, keepable_images, with_change_penalty, without_change_penalty
+from services.planning.options.wishes import Keepable, keepable_images, with_change_penalty, without_added_targets
 from services.planning.planner import Options, Plan, Progress, plan
 from services.planning.problem import BoolArray, PlanningProblem
 from services.planning.sequencing.sequence import one_pointing, sequence
@@ -23,6 +24,9 @@ from shared.errors import DomainError
 
 GUIDE_SHARE = 0.5
 """Share of work and time for the plan by totals, where recordings are searched after it."""
+THIS_CASE = "this case"
+STRETCHES = ", with raw-IF data in the stretch of each pass that was set aside for them"
+"""``nominal_share`` leaves the choice of seconds within a pass to the plan; one stretch is settled before the proof."""
 
 
 @dataclass(frozen=True)
@@ -58,14 +62,15 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """A solved request. ``plan``'s objective and bound are equation 1 less what changes cost; ``reward`` is
-    equation 1."""
+    """A solved request. ``plan``'s objective and bound are equation 1 less what changes and fragile looks cost;
+    ``reward`` is equation 1, ``fragile_cost`` what the discount on fragile looks takes off it."""
 
     problem: PlanningProblem
     plan: Plan
     reward: float
     keepable: Keepable
     dropped_images: int
+    fragile_cost: float
     bound_of: str
 
 
@@ -80,18 +85,22 @@ def solve(request: Request, progress: Progress, problem: PlanningProblem | None 
     problem = build(request) if problem is None else problem
     rules = request.rules
     keepable = keepable_images(problem, request.previous)
-    wished = with_change_penalty(problem, keepable, rules.change_penalty)
+    sure = with_fragile_discount(problem, request.tables["opportunities"], rules.fragile_discount)
+    wished = with_change_penalty(sure, keepable, rules.change_penalty)
     mandatory = "auto" if request.options.active_mandatory == "true" else request.options.active_mandatory
     options = replace(request.options, active_mandatory=mandatory)
     if len(problem.pointings) > 1 or rules.sequenced:
         full, made, bound_of = _recorded(wished, rules, options, progress)
     else:
-        full, made, bound_of = wished, plan(wished, options, progress), "this case"
+        full, made, bound_of = wished, plan(wished, options, progress), THIS_CASE
+    if rules.nominal_share > 0:
+        bound_of += STRETCHES
     constant = rules.change_penalty * keepable.groups
     made = replace(made, objective=made.objective - constant, bound=made.bound - constant)
-    plain = without_change_penalty(full, problem)
-    dropped = keepable.dropped(made.timeline.images)
-    answer = Answer(plain, made, plain.objective(made.timeline.images), keepable, dropped, bound_of)
+    plain = without_added_targets(full, problem)
+    dropped, reward = keepable.dropped(made.timeline.images), plain.objective(made.timeline.images)
+    fragile = max(0.0, reward - rules.change_penalty * dropped - made.objective) if rules.fragile_discount > 0 else 0.0
+    answer = Answer(plain, made, reward, keepable, dropped, fragile, bound_of)
     _demand_pins(answer)
     return answer
 
@@ -121,7 +130,7 @@ def _recorded(
         mandatory=found.mandatory and met, time_limited=found.time_limited or best.time_limited,
     )  # fmt: skip
     exact = np.isfinite(best.bound)
-    return best.problem, made, "this case" if exact else "the same case without recordings, switches and slews"
+    return best.problem, made, THIS_CASE if exact else "the same case without recordings, switches and slews"
 
 
 def _required(problem: PlanningProblem, options: Options) -> BoolArray:

@@ -88,14 +88,15 @@ def solve_relaxation(model: DataCycleModel, time_limit_s: float) -> Solution:
 
 
 def branch_and_bound(
-    model: DataCycleModel, whole: BoolArray, gap: float, node_limit: int, time_limit_s: float
+    model: DataCycleModel, whole: BoolArray, gap: float, node_limit: int, time_limit_s: float, slack: float = 1e-6
 ) -> Solution:
-    """The mixed-integer model by HiGHS to a relative ``gap``, at most ``node_limit`` nodes."""
+    """The mixed-integer model by HiGHS to a relative ``gap``, at most ``node_limit`` nodes; rows hold to ``slack``."""
     parameters = mathopt.SolveParameters(
         time_limit=datetime.timedelta(seconds=max(0.1, time_limit_s)), node_limit=node_limit,
         relative_gap_tolerance=gap, absolute_gap_tolerance=1e-9,
     )  # fmt: skip
     parameters.highs.string_options["parallel"] = "off"
+    parameters.highs.double_options["mip_feasibility_tolerance"] = slack
     result = _solve(model, whole, parameters)
     if result is None:
         return _nothing(model, time_limited=False)

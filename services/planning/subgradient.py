@@ -8,6 +8,8 @@ at a few fixed moments. The bound comes from the quota program for the averaged 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 
@@ -18,11 +20,12 @@ from services.planning.problem import FloatArray, IntArray
 from services.planning.quotas import whole_quotas
 from services.planning.solving import Solution, trivial_bound
 
-ROUNDS = 6
+ROUNDS = 12
 STEPS_PER_ROUND = 150
-LARGE, SMALL = 0.15, 0.004
+LARGE, SMALL = 0.15, 0.0002
 """First and last step, as shares of a group's value for each image too many or too few."""
-QUOTA_GUARD_S = 60.0
+QUOTA_GUARD_S, LEAST_GUARD_S = 60.0, 0.5
+"""Guard of one quota program, s: at most, and what it gets when no time is left."""
 
 
 @njit(cache=True, nogil=True)
@@ -61,9 +64,13 @@ def _steps(steps, large, small, y, mean_y, mean_w, quota, order, first, start, g
 
 
 def guided_multipliers(
-    model: DataCycleModel, chunks: Chunks, coverage: Coverage, time_limit_s: float = QUOTA_GUARD_S
-) -> Solution:
-    """In the form of a relaxation: mean choices as values, reduced costs, multipliers and a proven bound."""
+    model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float] = lambda: QUOTA_GUARD_S,
+    rounds: int = ROUNDS, steps: int = STEPS_PER_ROUND, last_step: float = SMALL,
+) -> Solution:  # fmt: skip
+    """In the form of a relaxation: mean choices as values, reduced costs, multipliers and a proven bound.
+
+    Where ``left`` (seconds) runs out, the rounds made so far count, at least one.
+    """
     chunk_of = chunks.image_chunk[coverage.image]
     order = np.argsort(chunk_of, kind="stable").astype(np.int64)
     first = np.searchsorted(chunk_of[order], np.arange(len(chunks) + 1)).astype(np.int64)
@@ -71,15 +78,22 @@ def guided_multipliers(
     y, mean_y, mean_w = 0.4 * value, 0.4 * value, np.zeros(len(coverage.image))
     found = _as_solution(model, chunks, coverage, mean_w, mean_y, np.zeros(model.links), trivial_bound(model))
     cut, best = False, found.bound
-    for index in range(ROUNDS):
-        quotas = whole_quotas(model, chunks, coverage, found, True, time_limit_s, exact=False)
+    for index in range(rounds):
+        quotas = whole_quotas(model, chunks, coverage, found, True, _guard_s(left), exact=False)
         cut |= quotas.time_limited
-        large, small = (LARGE * (SMALL / LARGE) ** (x / ROUNDS) for x in (index, index + 1))
-        _steps(STEPS_PER_ROUND, large, small, y, mean_y, mean_w, quotas.images, order, first, coverage.start,
-               coverage.group, value)  # fmt: skip
+        large, small = (LARGE * (last_step / LARGE) ** (x / rounds) for x in (index, index + 1))
+        _steps(steps, large, small, y, mean_y, mean_w, quotas.images, order, first, coverage.start, coverage.group,
+               value)  # fmt: skip
         found = _as_solution(model, chunks, coverage, mean_w, mean_y, quotas.links, best)
-    proof = whole_quotas(model, chunks, coverage, found, False, time_limit_s, exact=False)
+        if left() <= 0:
+            cut = True
+            break
+    proof = whole_quotas(model, chunks, coverage, found, False, _guard_s(left), exact=False)
     return _as_solution(model, chunks, coverage, mean_w, mean_y, quotas.links, min(best, proof.bound), cut)
+
+
+def _guard_s(left: Callable[[], float]) -> float:
+    return max(LEAST_GUARD_S, min(QUOTA_GUARD_S, left()))
 
 
 def _as_solution(

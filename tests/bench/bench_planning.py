@@ -47,7 +47,7 @@ WORK = {"60s": 20.0, "600s": 380.0}
 GUARD_S = {"60s": 55.0, "600s": 3600.0}
 """Guards only: on two quiet cores the counted work ends well before 60 s and 600 s."""
 FLEETS = (7, 15, 30, 60)
-FLEET_WORK = 10.0
+FLEET_WORK = {7: 10.0, 15: 10.0, 30: 10.0, 60: 5.0}
 TARGETS_PER_SATELLITE = 100_000 / 30
 
 
@@ -69,7 +69,7 @@ def measure(case: str, craft: str, kind: str, budget: str) -> dict[str, Any]:
         targets = frames["targets"][frames["targets"]["kind"] == kind]
         seen = frames["opportunities"]
         frames |= {"targets": targets, "opportunities": seen[seen["target_id"].isin(targets["target_id"])]}
-    work = FLEET_WORK if case.isdigit() else WORK[budget]
+    work = FLEET_WORK[int(case)] if case.isdigit() else WORK[budget]
     options = Options(mip_gap=0.0001, time_limit_s=GUARD_S[budget], work_limit=work)
     stamps: dict[str, float] = {}
     made = make_plan(

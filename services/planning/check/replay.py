@@ -33,7 +33,15 @@ from services.planning.check.reading import (
 )
 from services.planning.check.sequences import check_sequences
 from services.planning.check.verdict import Verdict, ViolationLog
-from services.planning.check.worth import check_pins, dropped_images, images_that_see, reachable_images, reward
+from services.planning.check.worth import (
+    check_pins,
+    dropped_images,
+    fragile_targets,
+    images_that_see,
+    reachable_images,
+    reward,
+    worth_of,
+)
 from services.planning.options.rules import OperationRules
 
 
@@ -91,9 +99,11 @@ def replay(
     check_pins(collected, opportunities, images, reachable, rules, log)
     worthwhile = reachable & images_that_see(opportunities, rules)  # giving up what nobody wants loses nothing
     dropped = dropped_images(commands, images, worthwhile, before, first)
+    fragile = fragile_targets(collected, opportunities)
     return Verdict(
         log.ordered(), tuple(sorted(row.image for row in rows if row.command == "collect" and row.image is not None)),
         reward(collected, opportunities, targets, rules), stored, charge, dropped, dropped * rules.change_penalty,
+        len(fragile), rules.fragile_discount * worth_of(fragile, targets, rules),
     )  # fmt: skip
 
 

@@ -23,7 +23,8 @@ class Verdict:
     """``violations`` holds the first of every broken rule, in order of time; ``images`` those collected.
 
     ``objective`` is equation 1 under the target changes; ``dropped_images`` counts images of the previous plan that
-    could have been kept and were not, which cost ``change_cost``.
+    could have been kept and were not, which cost ``change_cost``; ``fragile_targets`` those observed only by looks that
+    the along-track error may spoil, which cost ``fragile_cost``.
     """
 
     violations: tuple[Violation, ...]
@@ -33,6 +34,8 @@ class Verdict:
     battery_at_end_wh: dict[str, float] = field(default_factory=dict)
     dropped_images: int = 0
     change_cost: float = 0.0
+    fragile_targets: int = 0
+    fragile_cost: float = 0.0
 
     @property
     def valid(self) -> bool:

@@ -18,6 +18,11 @@ ACTIVE_FACTOR = 10.0
 def reward(images: set[int], opportunities: pd.DataFrame, targets: pd.DataFrame, rules: OperationRules) -> float:
     """Equation 1: each observed target once, active ones tenfold, with excluded and re-weighted targets."""
     observed = set(opportunities.loc[opportunities["image_id"].isin(images), "target_id"].tolist())
+    return worth_of(observed, targets, rules)
+
+
+def worth_of(observed: set[int], targets: pd.DataFrame, rules: OperationRules) -> float:
+    """Equation 1 of a set of observed targets."""
     changed = {c.target_id: c for c in rules.target_changes if c.action != "pin"}
     total = 0.0
     for target, kind, priority in zip(targets["target_id"], targets["kind"], targets["priority"], strict=True):
@@ -28,6 +33,15 @@ def reward(images: set[int], opportunities: pd.DataFrame, targets: pd.DataFrame,
             priority = 0.0 if change.action == "exclude" else change.priority
         total += (ACTIVE_FACTOR if str(kind) == "active" else 1.0) * float(priority)
     return total
+
+
+def fragile_targets(images: set[int], opportunities: pd.DataFrame) -> set[int]:
+    """Targets that ``images`` observe, but with no look that is covered both ahead of and behind its prediction."""
+    looks = opportunities[opportunities["image_id"].isin(images)]
+    robust = pd.Series(True, looks.index)
+    for name in ("covered_ahead", "covered_behind"):
+        robust &= looks[name].eq(True).fillna(False).astype(bool) if name in looks else False
+    return set(looks["target_id"].tolist()) - set(looks.loc[robust, "target_id"].tolist())
 
 
 def check_pins(

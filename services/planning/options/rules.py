@@ -43,6 +43,8 @@ class OperationRules:
     ``acquisition_s``: seconds at the start of every usable pass that carry no data. ``nominal_share``: share of every
     usable pass kept for nominal-mode data. ``frozen_until``: commands of the previous plan that start earlier stay.
     ``change_penalty``: reward given up for each image of the previous plan that could be kept and is not.
+    ``fragile_discount``: share of a target's reward lost where only looks observe it that the along-track error may
+    spoil.
     """
 
     min_collect_s: int = 1
@@ -55,6 +57,7 @@ class OperationRules:
     target_changes: tuple[TargetChange, ...] = ()
     frozen_until: pd.Timestamp | None = None
     change_penalty: float = 0.0
+    fragile_discount: float = 0.0
 
     @property
     def sequenced(self) -> bool:

@@ -121,10 +121,8 @@ def with_change_penalty(problem: PlanningProblem, keepable: Keepable, penalty: f
     return replace(problem, targets=more, images=grown, opportunity_count=seen)
 
 
-def without_change_penalty(problem: PlanningProblem, plain: PlanningProblem) -> PlanningProblem:
+def without_added_targets(problem: PlanningProblem, plain: PlanningProblem) -> PlanningProblem:
     """``problem`` with the targets of ``plain`` again, its images (which may be more than ``plain``'s) kept."""
-    if len(problem.targets.value) == len(plain.targets.value):
-        return problem
     keep = problem.images.target < len(plain.targets.value)
     size = np.bincount(problem.images.image_of_entry()[keep], minlength=len(problem.images))
     start = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)

@@ -12,6 +12,7 @@ import pandas as pd
 
 from services.planning.data_cycles import cycle_ends
 from services.planning.downlinks import Timeline
+from services.planning.options.robustness import observed_robustly, robustness_known
 from services.planning.options.rules import OperationRules
 from services.planning.problem import BoolArray, PlanningProblem
 from services.planning.products.changes import change_counts
@@ -49,6 +50,7 @@ def plan_report(request: Request, answer: Answer, comparison: Comparison, change
         },
         "targets": _targets(problem, observed), "images_planned": len(plan.timeline.images),
         "latency": _latency(problem, plan.timeline), "satellites": _satellites(problem, plan.timeline),
+        "robustness": _robustness(request, answer, observed),
         "active_targets_not_observed": unmet_active(problem, plan.timeline),
         "pinned_targets_not_observed": unmet_pinned(problem, plan.timeline),
         "targets_not_observed_because": dict(Counter(_kind(str(reason)) for reason in reasons[~observed])),
@@ -62,6 +64,22 @@ def plan_report(request: Request, answer: Answer, comparison: Comparison, change
             "change_cost": request.rules.change_penalty * answer.dropped_images, "changes": change_counts(changes),
         },
     }  # fmt: skip
+
+
+def _robustness(request: Request, answer: Answer, observed: BoolArray) -> dict[str, Any] | None:
+    """Observed targets with a look that no along-track error spoils, and without (None: nobody worked that out)."""
+    opportunities, problem = request.tables["opportunities"], answer.problem
+    if not robustness_known(opportunities):
+        return None
+    robust = observed_robustly(problem, opportunities, answer.plan.timeline.images)
+    counts = {
+        name: {kind: int((mask & group).sum()) for kind, group in
+               (("active", problem.targets.active), ("prefire", ~problem.targets.active))}
+        for name, mask in (("observed_robustly", robust), ("observed_only_by_fragile_looks", observed & ~robust))
+    }  # fmt: skip
+    fragile = float(problem.targets.value[observed & ~robust].sum())
+    return {**counts, "reward_of_fragile_looks": fragile, "discount": request.rules.fragile_discount,
+            "cost": answer.fragile_cost}  # fmt: skip
 
 
 def _kind(reason: str) -> str:
@@ -86,6 +104,7 @@ def _options(rules: OperationRules) -> dict[str, Any]:
         "min_collect_s": rules.min_collect_s, "mode_switch_s": rules.mode_switch_s,
         "max_commands_per_day": rules.max_commands_per_day, "acquisition_s": rules.acquisition_s,
         "nominal_share": rules.nominal_share, "change_penalty": rules.change_penalty,
+        "fragile_discount": rules.fragile_discount,
         "booked_passes": None if rules.booked is None else len(rules.booked),
         "frozen_until": None if rules.frozen_until is None else rules.frozen_until.isoformat(),
         "outages": [_texts(vars(outage)) for outage in rules.outages],

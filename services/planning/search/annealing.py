@@ -6,6 +6,7 @@ machine, however many cores it has and however busy they are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,6 +25,11 @@ SEARCHES = 2
 """Searches side by side, one a core of the machine that the product is made for."""
 EXCHANGES = 12
 """Times in the colder half of an annealing at which the poorest search takes over the best one's state."""
+
+SETTLING_S = 1.0
+"""Seconds after which the pace of the steps is known."""
+PUNCTUALITY = 0.95
+"""Share of the time left that a hurried cooling plans to use."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,34 @@ class Search:
         )  # fmt: skip
 
 
+class _Cooling:
+    """How far an annealing is (0 to 1), by counted steps; where these will not fit the time left, by that time.
+
+    A cooling that is hurried ends cold when the guard falls, instead of warm and half done; the same inputs then need
+    not give the same plan.
+    """
+
+    def __init__(self, moves: int, left: Callable[[], float]) -> None:
+        self.moves, self.left, self.begun = moves, left, left()
+        self.done, self.share, self.hurried = 0, 0.0, False
+
+    def next(self) -> tuple[int, float]:
+        """Steps of the next batch and the share of the cooling that it ends at."""
+        size, remaining = min(BATCH_MOVES, self.moves - self.done), self.moves - self.done
+        now = self.left()
+        spent = self.begun - now
+        if self.done and spent > SETTLING_S and spent * remaining > now * PUNCTUALITY * self.done:
+            self.hurried = True
+            remaining = max(size, int(now * PUNCTUALITY * self.done / spent))
+        self.done += size
+        self.share += (1.0 - self.share) * size / remaining
+        return size, self.share
+
+    def over(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.done >= self.moves or self.share >= 1.0
+
+
 def anneal(
     space: SearchSpace,
     allotment: Allotment,
@@ -93,29 +127,28 @@ def anneal(
     seed: int = 1,
     stop: Callable[[int, BoolArray], bool] = lambda done, best: False,
     searches: int = SEARCHES,
+    left: Callable[[], float] = lambda: math.inf,
 ) -> SearchResult:
     """Improve ``chosen`` by ``moves`` counted steps in each of ``searches`` searches.
 
-    ``stop(done, best set)`` between batches is the guard. The best set of all is returned, never one poorer than
-    ``chosen``.
+    ``stop(done, best set)`` between batches is the guard; ``left`` says how many seconds remain, and hurries the
+    cooling where the steps will not fit them. The best set of all is returned, never one poorer than ``chosen``.
     """
     runs = [Search(space, allotment, chosen, seed + index) for index in range(searches)]
-    batches = -(-moves // BATCH_MOVES)
-    meetings = {batches - 1 - k * max(1, batches // (2 * EXCHANGES)) for k in range(1, EXCHANGES + 1)}
-    done, cut = 0, False
+    cooling, cut = _Cooling(moves, left), False
     with ThreadPoolExecutor(max_workers=searches) as pool:
-        for batch in range(batches):
+        while not cooling.over():
             leader = max(range(searches), key=lambda index: (runs[index].totals[1], -index))
-            if stop(done, runs[leader].best):
+            if stop(cooling.done, runs[leader].best):
                 cut = True
                 break
-            size = min(BATCH_MOVES, moves - done)
-            begin, end = (hot * (cold / hot) ** (x / moves) for x in (done, done + size))
+            before = cooling.share
+            size, after = cooling.next()
+            begin, end = (hot * (cold / hot) ** x for x in (before, after))
             list(pool.map(lambda run, n=size, a=begin, b=end: run.run(n, a, b), runs))
-            done += size
-            if batch in meetings:
+            if after > 0.5 and int(after * 2 * EXCHANGES) > int(before * 2 * EXCHANGES):
                 ranked = sorted(range(searches), key=lambda index: (-runs[index].totals[0], index))
                 runs[ranked[-1]].take_over(runs[ranked[0]])
     values = [space.objective(run.best) for run in runs]
     winner = int(np.argmax(values))
-    return SearchResult(runs[winner].best, values[winner], done, cut)
+    return SearchResult(runs[winner].best, values[winner], cooling.done, cut or cooling.hurried)

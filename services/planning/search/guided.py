@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,8 @@ from services.planning.coverage import Coverage
 from services.planning.data_cycles import Chunks
 from services.planning.problem import BoolArray, IntArray, PlanningProblem
 from services.planning.quotas import Quotas
-from services.planning.search.annealing import anneal
+from services.planning.search.annealing import SEARCHES, anneal
+from services.planning.search.halves import improve_halves
 from services.planning.search.space import (
     Allotment,
     SearchSpace,
@@ -26,8 +28,8 @@ REDUCED_COST_SPAN = 0.1
 """Images whose reduced cost lies further below zero, in mean group values, are left out of the search."""
 HOT, COLD = 0.45, 0.07
 """Annealing temperatures in mean group values: above, image sets are random; below, hardly a step is taken."""
-PASSES = (0.05, 0.95)
-"""Shares of the moves: a short cooling first, so that a guard that cuts the long one still leaves a good plan."""
+QUICK_SHARE, LEAST_MOVES = 0.1, 250_000
+"""Share of the moves of a short cooling that comes first, so that a guard that cuts the long one leaves a good plan."""
 
 
 @dataclass(frozen=True)
@@ -76,19 +78,44 @@ def search_start(
     return Start(space, smaller.image[order], allotment, chosen, scale)
 
 
-def search_plan(start: Start, moves: int, stop: Callable[[int, IntArray], bool]) -> tuple[IntArray, bool]:
-    """Images of the best plan found and whether ``stop(moves done, best images)`` cut the search."""
-    done, best, cut = 0, start.chosen, False
-    for share in PASSES:
-        part, before = int(moves * share), done
-        result = anneal(
-            start.space, start.allotment, start.chosen, part, HOT * start.scale, COLD * start.scale,
-            stop=lambda n, chosen, b=before, known=best: stop(
-                b + n, start.image[max(known, chosen, key=start.space.objective)]
-            ),
-        )  # fmt: skip
-        best = max(best, result.chosen, key=start.space.objective)
-        done, cut = done + part, result.time_limited
-        if cut:
-            break
-    return np.sort(start.image[best]), cut
+Stop = Callable[[int, IntArray], bool]
+
+
+def quick_plan(start: Start, moves: int, left: Callable[[], float]) -> IntArray:
+    """Images of a short cooling by one search: something good to return while better guidance is worked out.
+
+    A first quarter of a million steps is made whatever time is ``left`` (seconds).
+    """
+    least, _ = _annealed(start, min(moves, LEAST_MOVES), lambda done, images: False, lambda: math.inf, searches=1)
+    more, _ = _annealed(start, int(moves * QUICK_SHARE), lambda done, images: left() <= 0, left, searches=1)
+    worth = [start.space.objective(np.isin(start.image, images)) for images in (least, more)]
+    return (least, more)[int(np.argmax(worth))]
+
+
+def search_plan(start: Start, moves: int, stop: Stop, left: Callable[[], float]) -> tuple[IntArray, bool]:
+    """Images of the best plan found and whether time cut the search: ``stop(moves done, best images)`` said so, or it
+    had to hurry to end within ``left`` seconds."""
+    return _annealed(start, moves, stop, left, SEARCHES)
+
+
+def refined_plan(
+    start: Start, images: IntArray, rounds: int, stop: Stop, left: Callable[[], float]
+) -> tuple[IntArray, bool]:
+    """``images`` of a plan of this start, improved exactly half by half, and whether time cut that."""
+    if not rounds:
+        return images, False
+    chosen = np.isin(start.image, images)
+    better, cut = improve_halves(
+        start.space, chosen, rounds, left, lambda done, chosen: stop(done, start.image[chosen])
+    )
+    return np.sort(start.image[better]), cut
+
+
+def _annealed(
+    start: Start, moves: int, stop: Stop, left: Callable[[], float], searches: int
+) -> tuple[IntArray, bool]:  # fmt: skip
+    result = anneal(
+        start.space, start.allotment, start.chosen, moves, HOT * start.scale, COLD * start.scale,
+        stop=lambda done, chosen: stop(done, start.image[chosen]), searches=searches, left=left,
+    )  # fmt: skip
+    return np.sort(start.image[result.chosen]), result.time_limited

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -91,8 +92,13 @@ def random_case(seed: int, satellites: int = 2, images: int = 7, tight: bool = T
     return Case(shots, rewards, contacts, dark, craft if tight else {"storage_images": 4, "battery_initial_wh": 10.0})
 
 
-def exhaustive_optimum(case: Case, mandatory: bool = False) -> float:
-    """Best objective over every possible command of every satellite in every second (breadth-first over states)."""
+def exhaustive_optimum(
+    case: Case, mandatory: bool = False, worth: Callable[[Case, int, bool], float] | None = None
+) -> float:
+    """Best objective over every possible command of every satellite in every second (breadth-first over states).
+
+    ``worth`` of a set of images (a bit mask); equation 1 if None.
+    """
     craft = case.spacecraft
     names = sorted({s for _, s, _, _ in case.images} | {c[0] for c in case.contacts})
     shot = {(s, int(t)): number for number, (_, s, t, _) in enumerate(case.images)}
@@ -110,7 +116,7 @@ def exhaustive_optimum(case: Case, mandatory: bool = False) -> float:
                 ]
             reached.update((m, done) for m, done, _ in partial)
         states = reached
-    totals = [_value(case, mask, mandatory) for mask in {mask for mask, _ in states}]
+    totals = [(worth or _value)(case, mask, mandatory) for mask in {mask for mask, _ in states}]
     return max(totals)
 
 

@@ -61,6 +61,7 @@ def test_an_option_is_kept_checked_and_priced(rule: str) -> None:
     assert found[rule].satellite == "CYGFM01" and 0 <= found[rule].second < 14
     bound = make_plan(CASE.tables, CASE.spacecraft, options=EXACT, rules=RULES[rule])
     assert judge(bound.schedule, CASE.tables, CASE.spacecraft, rules=RULES[rule]).valid
+    assert ("stretch" in bound.report["bound_of"]) == (rule == "nominal")
     (price,) = bound.report["option_prices"]
     assert price["option"] == PRICED[rule]
     assert price["cost"] == pytest.approx(free.plan.objective - bound.plan.objective)

@@ -49,3 +49,13 @@ def test_active_targets_alone_are_optimal(real_data: Path) -> None:
     made = make_plan(thin(frames, 10**9), read_spacecraft(document), options=Options(mip_gap=1e-6))
     assert made.plan.gap < 1e-6
     assert made.report["targets"]["active"]["planned"] == made.report["targets"]["active"]["available"] == 138
+
+
+def test_the_first_second_already_has_a_plan_and_a_bound(real_data: Path) -> None:
+    frames, document = load(real_data / "planning/table1-tx")
+    made = make_plan(frames, read_spacecraft(document), options=Options(time_limit_s=0.2))
+    assert made.plan.time_limited
+    everything = sum(kind["reward_available"] for kind in made.report["targets"].values())
+    assert made.plan.objective > made.report["greedy_baseline"]["objective"]
+    assert made.plan.bound < 0.99 * everything
+    assert made.report["targets"]["active"]["planned"] == 359

@@ -14,6 +14,7 @@ from services.planning.milp import build_model, lagrangian_bound
 from services.planning.problem import PlanningProblem
 from services.planning.quotas import whole_quotas
 from services.planning.search.annealing import Search, anneal
+from services.planning.search.halves import improve_halves
 from services.planning.search.kernels import satellite_ok
 from services.planning.search.space import allot_downlinks, construct, energy_binds, search_space
 from services.planning.solving import branch_and_bound, solve_relaxation
@@ -111,6 +112,37 @@ def test_annealing_never_loses_and_repeats_exactly(seed: int) -> None:
     assert np.array_equal(first.chosen, again.chosen)
     assert first.value >= problem.objective(coverage.image[order][start]) - 1e-9
     assert first.value == pytest.approx(problem.objective(coverage.image[order][first.chosen]))
+
+
+def test_a_cooling_that_does_not_fit_the_time_left_is_hurried_and_says_so() -> None:
+    problem = problem_of(random_case(1, 3, 24, tight=False))
+    chunks, coverage = reduced(problem)
+    allotment = allot_downlinks(chunks, np.zeros(len(chunks.link_chunk)), spare=True)
+    space, _ = search_space(problem, chunks, coverage, allotment.per_chunk())
+    start = construct(space, np.arange(len(space.chunk)))
+    seconds = iter(range(8, -100, -1))  # a clock that shows a second less at every look
+    made = anneal(space, allotment, start, 10_000_000, 1.0, 0.05, left=lambda: float(next(seconds)))
+    assert made.time_limited
+    assert 500_000 <= made.moves <= 900_000
+    assert made.value >= space.objective(start) - 1e-9
+    in_time = anneal(space, allotment, start, 300_000, 1.0, 0.05, left=lambda: 1e6)
+    assert not in_time.time_limited and in_time.moves == 300_000
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exact_halves_only_gain_and_leave_every_chunk_its_count(seed: int) -> None:
+    problem = problem_of(random_case(seed, 3, 30, tight=False))
+    chunks, coverage = reduced(problem)
+    allotment = allot_downlinks(chunks, np.zeros(len(chunks.link_chunk)), spare=True)
+    space, _ = search_space(problem, chunks, coverage, allotment.per_chunk())
+    start = construct(space, np.arange(len(space.chunk))[::-1].copy())
+    better, cut = improve_halves(space, start, 6, lambda: 30.0, lambda done, chosen: False)
+    again, _ = improve_halves(space, start, 6, lambda: 30.0, lambda done, chosen: False)
+    assert not cut and np.array_equal(better, again)
+    assert space.objective(better) >= space.objective(start)
+    count = [np.bincount(space.chunk[chosen], minlength=len(chunks)) for chosen in (start, better)]
+    assert (count[1] <= count[0]).all()
+    assert improve_halves(space, start, 6, lambda: 30.0, lambda done, chosen: True) == (pytest.approx(start), True)
 
 
 @pytest.mark.parametrize("seed", range(8))

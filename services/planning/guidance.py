@@ -1,0 +1,73 @@
+"""What the search is led by: multipliers, quotas and a proven bound, rough ones at once and better ones after.
+
+The interior point takes seconds in which nothing would be there to return. Next to it, on the other core, rough
+multipliers give a bound, quotas and a short search: what a guard that cuts early returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from services.planning.coverage import Coverage
+from services.planning.data_cycles import Chunks
+from services.planning.milp import DataCycleModel
+from services.planning.quotas import Quotas, whole_quotas
+from services.planning.solving import Solution, solve_relaxation
+from services.planning.subgradient import guided_multipliers
+
+LARGE_ENTRIES = 500_000
+"""Image-target pairs beyond which an interior point takes longer than averaged subgradients deserve."""
+QUICK_ROUNDS, QUICK_STEPS, QUICK_LAST_STEP = 3, 60, 0.004
+RELAXATION_SHARE = 0.7
+"""Share of the time left that the interior point may take before the guard cuts it."""
+QUOTA_GUARD_S, LEAST_GUARD_S = 20.0, 0.5
+
+
+@dataclass(frozen=True)
+class Guidance:
+    """Multipliers and values (``relaxation``), whole-image ``quotas`` to start from, and the proven ``bound``."""
+
+    relaxation: Solution
+    quotas: Quotas
+    bound: float
+    time_limited: bool
+
+
+def is_large(coverage: Coverage) -> bool:
+    """Whether subgradients alone lead the search."""
+    return len(coverage.group) > LARGE_ENTRIES
+
+
+def rough_guidance(model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float]) -> Guidance:
+    """Averaged subgradients: half a second for cases of the paper's size, however early the guard; all that large
+    cases get."""
+    large = is_large(coverage)
+    if large:
+        relaxation = guided_multipliers(model, chunks, coverage, left)
+    else:
+        relaxation = guided_multipliers(
+            model, chunks, coverage, rounds=QUICK_ROUNDS, steps=QUICK_STEPS, last_step=QUICK_LAST_STEP
+        )
+    quotas = whole_quotas(model, chunks, coverage, relaxation, True, _guard_s(left), exact=False)
+    return Guidance(relaxation, quotas, relaxation.bound, relaxation.time_limited or quotas.time_limited)
+
+
+def exact_guidance(
+    model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float]
+) -> Guidance | None:
+    """Interior point, then both quota programs side by side; None where the guard cut the interior point."""
+    relaxation = solve_relaxation(model, max(LEAST_GUARD_S, left() * RELAXATION_SHARE))
+    if relaxation.dual is None:
+        return None
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, _guard_s(left), True)
+                 for guide in (True, False)]  # fmt: skip
+        guide, proof = (task.result() for task in tasks)
+    bound = min(relaxation.bound, proof.bound)
+    return Guidance(relaxation, guide, bound, relaxation.time_limited or guide.time_limited)
+
+
+def _guard_s(left: Callable[[], float]) -> float:
+    return max(LEAST_GUARD_S, min(QUOTA_GUARD_S, left()))
