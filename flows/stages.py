@@ -24,7 +24,7 @@ PLAN_RULES = (
     "outages",
     "target_changes",
 )
-KNOWN_INPUTS = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
+KNOWN_INPUTS = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast", "perimeters")
 
 
 def prioritise(
@@ -207,11 +207,12 @@ def understand(
         latest = end - timedelta(hours=settings.level1_latency_h)
         earliest = latest - timedelta(hours=settings.cycle_hours)
         seen |= {"time_from": earliest.isoformat(), "time_to": latest.isoformat()}
-    burned = runner.service("retrieval", "retrieve-burned-area", {**seen, "baseline": case.baseline})
-    moisture = runner.service("retrieval", "retrieve-soil-moisture", {**seen, "reference": case.reference})
     known = runner.local(
         ASSEMBLE_INPUTS, {"cutoff": end.isoformat(), **{name: case.inputs.get(name) for name in KNOWN_INPUTS}}
     )
+    before_fire = {"baseline": case.baseline, "perimeters": known["perimeters"]}  # perimeters are only drawn
+    burned = runner.service("retrieval", "retrieve-burned-area", {**seen, **before_fire})
+    moisture = runner.service("retrieval", "retrieve-soil-moisture", {**seen, "reference": case.reference})
     arrival = runner.service(
         "arrival",
         "infer-fire-arrival",

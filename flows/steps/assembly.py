@@ -38,18 +38,20 @@ class AssembleInputs(ProcessInputs):
     detections: ArtifactRef = Field(description="detections table of the case")
     weather_analysis: ArtifactRef = Field(description="hourly analyses")
     weather_forecast: ArtifactRef = Field(description="forecasts by issue")
+    perimeters: ArtifactRef | None = Field(None, description="mapped perimeters of the case, where it has any")
 
 
 class AssembleOutputs(ProcessOutputs):
     incidents: ArtifactRef
     detections: ArtifactRef
     weather: ArtifactRef
+    perimeters: ArtifactRef | None = Field(None, description="null where none had been published")
     incident_count: int
     detection_count: int
 
 
 def assemble_inputs(inputs: AssembleInputs, context: JobContext) -> AssembleOutputs:
-    """Incidents, detections and one weather grid as they were known at the cut-off."""
+    """Incidents, detections, one weather grid and perimeters as they were known at the cut-off."""
     from shared.contracts.grids import WEATHER_GRID, write_netcdf
 
     names = ("incidents", "incident_reports", "detections", "weather_analysis", "weather_forecast")
@@ -58,6 +60,7 @@ def assemble_inputs(inputs: AssembleInputs, context: JobContext) -> AssembleOutp
     incidents = known_at.incidents_known_at(files, inputs.cutoff)
     detections = known_at.detections_known_at(files, inputs.cutoff)
     weather = known_at.weather_known_at(files, inputs.cutoff, inputs.cutoff - WEATHER_HISTORY)
+    perimeters = _perimeters(inputs, context)
     # Real detections stay real beside simulated weather: each file is marked by what it was made from.
     reports = [inputs.incidents, *([inputs.incident_reports] if inputs.incident_reports else [])]
     sky = [inputs.weather_analysis, inputs.weather_forecast]
@@ -67,15 +70,23 @@ def assemble_inputs(inputs: AssembleInputs, context: JobContext) -> AssembleOutp
         incidents=context.write_table("incidents.parquet", incidents, "INCIDENTS", reports),
         detections=context.write_table("detections.parquet", detections, "DETECTIONS", [inputs.detections]),
         weather=context.ref("weather.nc"),
+        perimeters=perimeters,
         incident_count=len(incidents),
         detection_count=len(detections),
     )
 
 
+def _perimeters(inputs: AssembleInputs, context: JobContext) -> ArtifactRef | None:
+    if inputs.perimeters is None:
+        return None
+    found = known_at.perimeters_known_at(GivenFiles({"perimeters": context.path(inputs.perimeters)}), inputs.cutoff)
+    return context.write_table("perimeters.parquet", found, "PERIMETERS", [inputs.perimeters]) if len(found) else None
+
+
 ASSEMBLE_INPUTS = Process(
     "assemble-inputs",
     "Assemble what is known at the cut-off",
-    "Applies the cut-off to incidents, detections and weather.",
+    "Applies the cut-off to incidents, detections, weather and perimeters.",
     AssembleInputs,
     AssembleOutputs,
     assemble_inputs,

@@ -8,8 +8,10 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import geopandas
 import pandas as pd
 import pytest
+from shapely.geometry import box
 
 from flows.cases.bundle import Case
 from flows.cases.simulated import build_simulated_case
@@ -88,3 +90,27 @@ def test_weather_is_forecast_from_the_cut_off_on(case: Case, tmp_path: Path) -> 
     issued = pd.DatetimeIndex(weather["issued_at"].values)
     assert issued.max() <= pd.Timestamp(case.cutoff(2)).tz_localize(None)
     assert pd.DatetimeIndex(weather["time"].values).max() > issued.max() + timedelta(days=1)
+
+
+def test_perimeters_are_known_once_published(case: Case, tmp_path: Path) -> None:
+    """Of a case that has any: those published by the cut-off, and none at all before the first one is."""
+    cutoff = pd.Timestamp(case.cutoff(2))
+    times = [cutoff - timedelta(hours=9), cutoff - timedelta(hours=5)]
+    published = [cutoff - timedelta(hours=2), cutoff + timedelta(seconds=1)]
+    frame = geopandas.GeoDataFrame(
+        {"incident_id": ["a", "a"], "time": times, "known_at": published},
+        geometry=[box(-106, 33, -105, 34), box(-106, 33, -104, 34)],
+        crs="EPSG:4326",
+    )
+    other = tmp_path / "perimeters.parquet"
+    write_table(other, frame, tables.PERIMETERS)
+    store = ArtifactStore(Roots(str(tmp_path / "a"), (str(case.folder), str(tmp_path))))
+    given = {name: {"href": str(case.path(name))} for name in NAMES} | {"perimeters": {"href": str(other)}}
+    found = []
+    for time in (cutoff, cutoff - timedelta(hours=3)):
+        inputs = execution.validate_inputs(ASSEMBLE_INPUTS, {"cutoff": time.isoformat(), **given})
+        step = execution.resolve_step(ASSEMBLE_INPUTS, inputs, store, "test")
+        found.append(execution.run_step(step, store, "test", "job", lambda *_: None)["perimeters"])
+    known = read_table(Path(found[0]["href"].removeprefix("file://")), tables.PERIMETERS)
+    assert known["time"].tolist() == times[:1]
+    assert found[1] is None
