@@ -12,7 +12,7 @@ READY = $(VENV)/.ready-$(shell cat requirements.lock pyproject.toml | cksum | cu
 export OMP_WAIT_POLICY = PASSIVE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve desk test lint bench up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
+.PHONY: help setup demo serve desk test lint bench reliability up clean lock $(SERVICES:%=bench-%) $(SERVICES:%=bench-%-long)
 
 help: ## this list
 	@grep -hE '^[a-z%-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -49,6 +49,12 @@ $(SERVICES:%=bench-%): bench-%: $(READY)
 
 $(SERVICES:%=bench-%-long): bench-%-long: $(READY)
 	@$(PY) -m tests.bench.bench_$* --long
+
+reliability: $(READY) ## random kills, a full disk, many readers, a day of hourly cycles: see docs/reliability.md
+	@$(PY) -m tests.bench.reliability.load
+	@$(PY) -m tests.bench.reliability.chaos
+	@$(PY) -m tests.bench.reliability.disk_full
+	@$(PY) -m tests.bench.reliability.soak
 
 serve: $(READY) ## daily cycles and hourly ratings of CASE on their schedules, until it is ended
 	@$(PY) -m flows.commands serve --case $(CASE) --root $(ROOT)

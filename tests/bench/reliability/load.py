@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import random
+import sqlite3
 import sys
 import tempfile
 import time
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -83,11 +86,14 @@ def fill_register(root: Path, service: str) -> str:
     (root / ".jobs").mkdir(parents=True)
     register = JobRegister(f"sqlite:///{root / '.jobs' / f'{service}.sqlite'}")
     inputs = {f"input_{number}": REFERENCE for number in range(8)}
-    for number in range(JOBS):
-        job, _ = register.submit(JobRequest("process", inputs, f"{number}", f"key-{number}", "case-cycle", "flow"))
-        register.update(job.id, "successful", progress=100.0, outputs={f"output_{n}": REFERENCE for n in range(6)})
+    job, _ = register.submit(JobRequest("process", inputs, "hash", None, "case-cycle", "flow"))
+    register.update(job.id, "successful", progress=100.0, outputs={f"output_{n}": REFERENCE for n in range(6)})
     register.close()
-    return job.id
+    with contextlib.closing(sqlite3.connect(root / ".jobs" / f"{service}.sqlite")) as database, database:
+        first = list(database.execute("SELECT * FROM jobs").fetchone())  # id and sequence lead the columns
+        copies = [[uuid.uuid4().hex, number, *first[2:]] for number in range(2, JOBS + 1)]
+        database.executemany(f"INSERT INTO jobs VALUES ({', '.join('?' * len(first))})", copies)
+    return str(copies[-1][0])
 
 
 def pages_of(url: str, key: str, job: str) -> list[str]:
