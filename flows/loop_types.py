@@ -31,6 +31,7 @@ class LoopSettings:
     targets: Mapping[str, Any] = field(default_factory=dict)
     planning: Mapping[str, Any] = field(default_factory=dict)
     arrival: Mapping[str, Any] = field(default_factory=dict)
+    map_seen_fires_only: bool = False  # no arrival map of a fire that no satellite saw: for a whole country's fires
     seed: int = 1
 
 

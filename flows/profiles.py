@@ -50,6 +50,7 @@ _PAPER_DAY = Profile(
         targets={"active_spacing_km": 10, "prefire_spacing_deg": 0.1087},
         planning={"time_limit_s": 300, "mip_gap": 0.02, "work_limit": 4},
         arrival={"cell_m": 1000, "epochs": 10, "ensemble": 2, "formats": ["pictures"]},
+        map_seen_fires_only=True,
     ),
     calibration_days=2,
     calibration_step_s=20,

@@ -9,7 +9,7 @@ from typing import Any
 from flows.desk.approval import Desk
 from flows.loop_types import CaseInputs, Handover, LoopSettings, cycle_label
 from flows.runner import Runner
-from flows.steps import APPLY_DECISIONS, ASSEMBLE_INPUTS, EXECUTE, OBSERVED_PLACES, SET_HORIZON, UPLINK
+from flows.steps import APPLY_DECISIONS, ASSEMBLE_INPUTS, EXECUTE, OBSERVED_PLACES, SEEN_FIRES, SET_HORIZON, UPLINK
 
 # Options that are rules of the plan: the check must know them as well.
 PLAN_RULES = (
@@ -213,12 +213,14 @@ def understand(
     before_fire = {"baseline": case.baseline, "perimeters": known["perimeters"]}  # perimeters are only drawn
     burned = runner.service("retrieval", "retrieve-burned-area", {**seen, **before_fire})
     moisture = runner.service("retrieval", "retrieve-soil-moisture", {**seen, "reference": case.reference})
+    fires = {name: known[name] for name in ("incidents", "detections")}
+    if settings.map_seen_fires_only:
+        fires["incidents"] = runner.local(SEEN_FIRES, fires)["incidents"]
     arrival = runner.service(
         "arrival",
         "infer-fire-arrival",
         {
-            "detections": known["detections"],
-            "incidents": known["incidents"],
+            **fires,
             "weather": known["weather"],
             "burned_area": [*before.burned_area, burned["burned_area"]],
             "start": (case.first_cutoff - timedelta(days=3)).isoformat(),

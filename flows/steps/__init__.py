@@ -10,6 +10,7 @@ from flows.steps.perimeter_score import SCORE_PERIMETER
 from flows.steps.planner_rows import ACTIVE_ONLY, PLANNER_ROWS
 from flows.steps.priority_map import PRIORITY_MAP
 from flows.steps.score import SCORE
+from flows.steps.seen_fires import SEEN_FIRES
 from flows.steps.situation import SITUATION
 from flows.steps.uplink import UPLINK
 
@@ -24,6 +25,7 @@ LOCAL_STEPS = [
     SITUATION,
     SCORE,
     SCORE_PERIMETER,
+    SEEN_FIRES,
     PRIORITY_MAP,
     ACTIVE_ONLY,
     PLANNER_ROWS,

@@ -146,14 +146,14 @@ def _frame(axes: Axes, layers: Layers) -> None:
 
 def _list_fires(figure: Figure, layers: Layers) -> None:
     left, top, step = 0.775, 0.885, 0.0325
-    figure.text(left, top + 0.022, "Likeliest to become large", fontsize=11, weight="bold")
+    figure.text(left, top + 0.022, "Fires: chance of becoming large", fontsize=11, weight="bold")
     for number, row in enumerate(listed(layers.fires).itertuples()):
         y = top - 0.012 - step * number
         name = str(row.name)[:22] + (" *" if row.simulated else "") + ("" if row.reachable else " †")
         figure.text(left, y, f"{row.place:>2}", fontsize=10, family="monospace")
         figure.text(left + 0.022, y, name, fontsize=10, color="#3b82c4" if row.simulated else "black")
         figure.text(0.985, y, f"{100 * row.probability:.0f} %", fontsize=10, ha="right")
-    notes = "* simulated, after the real ones\n† out of reach in these 24 h"
+    notes = "* simulated, listed after the real ones\n† out of reach in these 24 h"
     figure.text(left, top - 0.022 - step * LISTED, notes, fontsize=8, va="top")
 
 

@@ -12,6 +12,14 @@ from flows.cases.nature.setting import FloatArray
 KM_PER_DEG = 111.195
 
 
+def on_sphere_km(longitude_deg: ArrayLike, latitude_deg: ArrayLike) -> FloatArray:
+    """Places as vectors (n, 3) on a sphere, km: between near ones the straight distance is that on the ground."""
+    longitude, latitude = np.radians(np.asarray(longitude_deg, float)), np.radians(np.asarray(latitude_deg, float))
+    flat = np.cos(latitude)
+    unit = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)], axis=1)
+    return np.asarray(unit * np.degrees(KM_PER_DEG))
+
+
 @dataclass(frozen=True)
 class RandomField:
     """A sum of cosines with random wave vectors: about N(0, 1), Gaussian covariance of the given length and time.

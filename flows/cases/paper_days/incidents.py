@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from flows.cases.nature.fields import KM_PER_DEG
+from flows.cases.nature.fields import on_sphere_km
 from flows.cases.wfigs import area_reports
 
 KNOWN_AFTER = pd.Timedelta(hours=6)  # stated, not measured: from discovery to the first public incident record
@@ -98,8 +98,8 @@ def ics209_fires(path: Path, beside: pd.DataFrame, cutoff: datetime, box: Box) -
 def _same_fire(table: pd.DataFrame, beside: pd.DataFrame) -> np.ndarray:
     if beside.empty or table.empty:
         return np.zeros(len(table), dtype=bool)
-    places = cKDTree(_plane(beside["longitude_deg"], beside["latitude_deg"]))
-    near = places.query_ball_point(_plane(table["lon_deg"], table["lat_deg"]), SAME_FIRE_KM)
+    places = cKDTree(on_sphere_km(beside["longitude_deg"], beside["latitude_deg"]))
+    near = places.query_ball_point(on_sphere_km(table["lon_deg"], table["lat_deg"]), SAME_FIRE_KM)
     starts = beside["start"].reset_index(drop=True)
     return np.array(
         [
@@ -151,8 +151,3 @@ def in_box(fires: pd.DataFrame, box: Box) -> pd.DataFrame:
 def _inside(table: pd.DataFrame, box: Box) -> pd.Series[bool]:
     west, south, east, north = box
     return table["lon_deg"].between(west, east) & table["lat_deg"].between(south, north)
-
-
-def _plane(longitude: pd.Series[float], latitude: pd.Series[float]) -> np.ndarray:
-    shrink = np.cos(np.radians(latitude.to_numpy(dtype=float)))
-    return np.stack([longitude.to_numpy(dtype=float) * shrink, latitude.to_numpy(dtype=float)], axis=1) * KM_PER_DEG
