@@ -15,6 +15,7 @@ from tenacity import RetryCallState, Retrying, retry_if_exception, stop_after_at
 from shared.errors import JobFailedError
 from shared.process.declaration import body_hash
 from shared.telemetry import CORRELATION_HEADER
+from shared.tracing import trace_headers
 
 Progress = Callable[[float, str], None]
 _POLL_FIRST_S, _POLL_LAST_S = 0.05, 0.25
@@ -112,7 +113,8 @@ class ProcessClient:
             raise JobFailedError(_text_of(error.response), _problem_in(error.response)) from error
 
     def _once(self, method: str, path: str, **options: Any) -> dict[str, Any]:
-        response = self._http.request(method, path, **options)
+        headers = {**options.pop("headers", {}), **trace_headers()}
+        response = self._http.request(method, path, headers=headers, **options)
         response.raise_for_status()
         document: dict[str, Any] = response.json()
         return document

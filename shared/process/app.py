@@ -25,6 +25,7 @@ from shared.security.exposure import refuse_exposure
 from shared.security.gate import Authenticator, GateMiddleware
 from shared.settings import ServiceSettings, service_settings
 from shared.telemetry import CORRELATION_HEADER, accept_correlation_id, configure_logging, correlation_id, logger
+from shared.tracing import configure_tracing, mark_request
 from shared.versions import RELEASE
 
 
@@ -40,6 +41,7 @@ class CorrelationMiddleware:
             return
         identifier = accept_correlation_id(Headers(scope=scope).get(CORRELATION_HEADER))
         correlation_id.set(identifier)
+        mark_request()
 
         async def send_with_id(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -59,6 +61,7 @@ def create_app(
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logging(name, chosen.log_level)
+        configure_tracing(name)
         end_with_parent(chosen.parent_pid)
         service = Service(name, processes, module or f"services.{name}.processes", chosen)
         service.start()

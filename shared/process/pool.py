@@ -21,6 +21,7 @@ from shared.process.problem import problem
 from shared.process.worker import WorkerSettings, worker_main
 from shared.settings import ServiceSettings
 from shared.telemetry import correlation_id, logger
+from shared.tracing import current, span
 
 Answer = TypeVar("Answer")
 _REGISTER_PAUSE_S = 0.5
@@ -45,6 +46,7 @@ class WorkerPool:
         self._worker = WorkerSettings(service, module, settings.roots, settings.input_limits, settings.log_level)
         self._queue: queue.Queue[Job | None] = queue.Queue()
         self._ended: dict[str, threading.Event] = {}
+        self._traces: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._slots = [_Slot(self) for _ in range(settings.workers)]
 
@@ -77,6 +79,7 @@ class WorkerPool:
             if job.id in self._ended:
                 return False
             self._ended[job.id] = threading.Event()
+            self._traces[job.id] = current()
         self._queue.put(job)
         return True
 
@@ -97,6 +100,7 @@ class WorkerPool:
     def _finish(self, job_id: str) -> None:
         with self._lock:
             event = self._ended.pop(job_id, None)
+            self._traces.pop(job_id, None)
         if event is not None:
             event.set()
 
@@ -134,7 +138,9 @@ class _Slot(threading.Thread):
     def _serve(self, job: Job) -> None:
         if not self._record(job, "running"):
             return
-        with self._pool._metrics.timing(job.process):
+        asked_in = self._pool._traces.get(job.id)
+        traced = span(f"job {job.process}", asked_in, job=job.id, process=job.process)
+        with traced, self._pool._metrics.timing(job.process):
             self._work(job)
         ended = self._patiently(lambda: self._pool._jobs.get(job.id))
         self._pool._metrics.count(job.process, ended.status)
