@@ -18,6 +18,7 @@ class ServiceSettings(BaseSettings):
     artifact_root: str = Field("artifacts", description="folder or fsspec URL that artifacts are written under")
     read_roots: tuple[str, ...] = Field((), description="further folders or URLs that inputs may be read from")
     job_database: str = Field("", description="SQLAlchemy URL; a SQLite file below the artifact root by default")
+    wait_s: float = Field(300.0, ge=0, description="how long a start waits for store and job database, s")
     workers: int = Field(1, ge=1, le=64, description="worker processes, one job each")
     max_body_bytes: int = Field(1_000_000, ge=1_000, description="largest request body")
     max_table_rows: int = Field(50_000_000, ge=1, description="most rows of a table that a job reads")

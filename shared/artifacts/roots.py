@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import posixpath
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -48,12 +49,24 @@ class Location:
         return Path(self.path) if "file" in _protocols(self.fs) else None
 
     def sha256(self) -> str:
-        """Hash of the content, read in blocks."""
-        digest = hashlib.sha256()
-        with self.fs.open(self.path, "rb") as stream:
-            while block := stream.read(_BLOCK):
-                digest.update(block)
-        return digest.hexdigest()
+        """Hash of the content, read in blocks; on S3 an object is read again only once its entity tag has changed."""
+        if self.local is None and (tag := self.fs.info(self.path).get("ETag")):
+            return _digest_of_version(self.fs, self.path, tag)
+        return _digest(self.fs, self.path)
+
+
+def _digest(fs: AbstractFileSystem, path: str) -> str:
+    digest = hashlib.sha256()
+    with fs.open(path, "rb") as stream:
+        while block := stream.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=100_000)
+def _digest_of_version(fs: AbstractFileSystem, path: str, tag: str) -> str:
+    """The hash of an object that bears this entity tag: S3 gives other content another one."""
+    return _digest(fs, path)
 
 
 @dataclass(frozen=True)

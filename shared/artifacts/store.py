@@ -3,52 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import posixpath
-import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import fsspec
 from pydantic import ValidationError
 
+from shared.artifacts.address import StepAddress
+from shared.artifacts.disk import later_than_siblings, to_disk
 from shared.artifacts.manifest import MANIFEST, FileEntry, Manifest, Product
 from shared.artifacts.reference import ArtifactRef, media_type
 from shared.artifacts.roots import Location, Roots, is_local, local_path, open_root
-from shared.errors import DomainError, SmokeglintError, TamperedArtifactError
+from shared.errors import SmokeglintError, TamperedArtifactError
 
 STAGING = ".staging"
-_SEGMENT = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,119}$")
-
-
-@dataclass(frozen=True)
-class StepAddress:
-    """Where a step's files lie below the root."""
-
-    case: str
-    cycle: str
-    step: str
-    key: str
-
-    def __post_init__(self) -> None:
-        for name in ("case", "cycle", "step", "key"):
-            value = getattr(self, name)
-            if not _SEGMENT.fullmatch(value):  # match would let a closing newline pass
-                raise DomainError(
-                    f"'{value}' cannot be the name of a {name}.",
-                    field=name,
-                    value=value,
-                    accepted="letters, digits, '.', '_', '+' and '-', not starting with a sign",
-                )
-
-    @property
-    def path(self) -> str:
-        return posixpath.join(self.case, self.cycle, self.step, self.key)
 
 
 class ArtifactStore:
@@ -67,15 +40,27 @@ class ArtifactStore:
     def open_reference(self, reference: ArtifactRef) -> tuple[Location, str]:
         """The file behind a reference and its hash; TamperedArtifactError if the hash is not the one it states."""
         location = self.roots.resolve(reference.href)
-        digest = location.sha256()
-        if reference.sha256 and digest != reference.sha256:
-            raise TamperedArtifactError(
-                f"The content of '{reference.name}' has changed since it was referenced.",
-                field="sha256",
-                value=digest,
-                accepted=reference.sha256,
-            )
-        return location, digest
+        return location, _checked(reference, location.sha256())
+
+    def fetch(self, reference: ArtifactRef, into: Path) -> Path:
+        """A path on this machine of the file behind a reference, its hash checked.
+
+        A file that lies elsewhere is copied below the folder ``into``, under its own name, once for each content.
+        """
+        location = self.roots.resolve(reference.href)
+        if location.local is not None:
+            if reference.sha256:
+                _checked(reference, location.sha256())
+            return location.local
+        if reference.sha256 and (kept := into / reference.sha256 / reference.name).exists():
+            return kept
+        into.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=into) as folder:
+            fresh = Path(folder) / "fresh"
+            location.fs.get_file(location.path, str(fresh))
+            digest = _checked(reference, Location(fsspec.filesystem("file"), str(fresh)).sha256())
+            (into / digest).mkdir(exist_ok=True)
+            return fresh.replace(into / digest / reference.name)
 
     def product_of(self, location: Location) -> Product | None:
         """The product attributes of a stored file, from the manifest beside it; None for a file without one."""
@@ -105,10 +90,28 @@ class ArtifactStore:
 
     def manifests(self, case: str) -> Iterator[Manifest]:
         """Every readable manifest of a case, in the order of its path."""
-        for path in sorted(self._fs.glob(posixpath.join(self._root, case, "*", "*", "*", MANIFEST))):
-            manifest = self._read_manifest(self._fs, posixpath.dirname(path))
+        return (manifest for manifest, _ in self.dated_manifests(case))
+
+    def addresses(self, case: str) -> list[StepAddress]:
+        """Where the steps of a case lie that have a manifest, readable or not, in the order of their paths."""
+        return [StepAddress(*posixpath.dirname(path).split("/")[-4:]) for path in self._manifest_files(case)]
+
+    def dated_manifests(self, case: str) -> Iterator[tuple[Manifest, float]]:
+        """Every readable manifest of a case and when it was put in place (s since 1970), in the order of its path."""
+        files = self._manifest_files(case)
+        # Elsewhere many are asked for at once: one after the other, each would take a whole answer's time.
+        contents = self._fs.cat([*files], on_error="omit") if files and not is_local(self.roots.artifact_root) else {}
+        for path, facts in files.items():
+            content = contents.get(path)
+            manifest = _parsed(content) if content else self._read_manifest(self._fs, posixpath.dirname(path))
             if manifest is not None:
-                yield manifest
+                yield manifest, _written(facts)
+
+    def cases(self) -> list[str]:
+        """The names of the folders below the root that may hold a case."""
+        folders = self._fs.glob(posixpath.join(self._root, "*"))
+        names = {posixpath.basename(path.rstrip("/")) for path in folders if self._fs.isdir(path)}
+        return sorted(name for name in names if not name.startswith("."))
 
     # Writing
 
@@ -156,14 +159,14 @@ class ArtifactStore:
             staged.replace(fresh / name)
         (fresh / MANIFEST).write_bytes(manifest.to_bytes())
         for path in (*fresh.iterdir(), fresh):
-            _to_disk(path)
+            to_disk(path)
         return self._move_in(fresh, Path(target), address, manifest)
 
     def _move_in(self, fresh: Path, target: Path, address: StepAddress, manifest: Manifest) -> Manifest:
         """Rename the finished folder into place; an old one that does not verify goes away with the staging folder."""
         fresh.chmod(0o755)
         target.parent.mkdir(parents=True, exist_ok=True)
-        _later_than_siblings(fresh / MANIFEST, target.parent)
+        later_than_siblings(fresh / MANIFEST, target.parent)
         try:
             fresh.rename(target)
         except OSError:  # there is a folder already: another worker's, finished just now, or a damaged one
@@ -172,7 +175,7 @@ class ArtifactStore:
                 return finished
             target.rename(Path(tempfile.mkdtemp(prefix=".damaged-", dir=fresh.parent)) / target.name)
             fresh.rename(target)
-        _to_disk(target.parent)
+        to_disk(target.parent)
         return manifest
 
     def _upload(self, folder: str, files: dict[str, Path], manifest: Manifest) -> None:
@@ -189,6 +192,10 @@ class ArtifactStore:
     def _put(self, staged: Path, target: str) -> None:
         self._fs.put_file(str(staged), target)
 
+    def forget(self, address: StepAddress) -> None:
+        """Remove the manifest of a step, so that it is made again."""
+        self._fs.rm(posixpath.join(self._folder(address), MANIFEST))
+
     def sweep(self, owner: str, steps: Iterable[str]) -> int:
         """Remove what a killed owner left: its staging folder, and folders of its steps without a manifest."""
         removed = 0
@@ -196,12 +203,24 @@ class ArtifactStore:
         if self._fs.exists(staging):
             self._fs.rm(staging, recursive=True)
             removed += 1
-        for step in steps:
-            for folder in self._fs.glob(posixpath.join(self._root, "*", "*", step, "*")):
-                if self._fs.isdir(folder) and not self._fs.exists(posixpath.join(folder, MANIFEST)):
-                    self._fs.rm(folder, recursive=True)
-                    removed += 1
+        for folder in self._unfinished(steps):
+            self._fs.rm(folder, recursive=True)
+            removed += 1
         return removed
+
+    def _unfinished(self, steps: Iterable[str]) -> list[str]:
+        """Folders of these steps without a manifest."""
+        if is_local(self.roots.artifact_root):
+            folders = [f for step in steps for f in self._fs.glob(posixpath.join(self._root, "*", "*", step, "*"))]
+            return [f for f in folders if self._fs.isdir(f) and not self._fs.exists(posixpath.join(f, MANIFEST))]
+        found: dict[str, bool] = {}  # one listing of everything: asking for each folder would take a request each
+        wanted = set(steps)
+        for path in self._fs.find(self._root):
+            parts = path.removeprefix(self._root + "/").split("/")
+            if len(parts) == 5 and parts[2] in wanted:
+                folder = posixpath.dirname(path)
+                found[folder] = found.get(folder, False) or parts[4] == MANIFEST
+        return [folder for folder, done in found.items() if not done]
 
     def writable(self) -> bool:
         """Whether a file can be written and removed below the root."""
@@ -210,12 +229,22 @@ class ArtifactStore:
             self._fs.makedirs(posixpath.dirname(probe), exist_ok=True)
             self._fs.pipe_file(probe, b"")
             self._fs.rm(probe)
-        except OSError:
+        except Exception:  # a disk or a server that fails: each file system has errors of its own
             return False
         return True
 
     def _folder(self, address: StepAddress) -> str:
         return posixpath.join(self._root, address.path)
+
+    def _manifest_files(self, case: str) -> dict[str, dict[str, Any]]:
+        """What the file system tells of each manifest of a case, in the order of their paths."""
+        folder = posixpath.join(self._root, case)
+        if is_local(self.roots.artifact_root):
+            found = self._fs.glob(posixpath.join(folder, "*", "*", "*", MANIFEST), detail=True)
+        else:  # one flat listing: a pattern would list each folder by itself
+            listed = self._fs.find(folder, detail=True)
+            found = {p: facts for p, facts in listed.items() if p.count("/") == folder.count("/") + 4}
+        return {path: found[path] for path in sorted(found) if path.endswith("/" + MANIFEST)}
 
     def _url(self, address: StepAddress, name: str) -> str:
         path = posixpath.join(self._root, address.path, name)
@@ -225,28 +254,31 @@ class ArtifactStore:
         path = posixpath.join(folder, MANIFEST)
         if not fs.exists(path):
             return None
-        try:
-            return Manifest.model_validate_json(fs.cat_file(path))
-        except ValidationError:
-            return None
+        return _parsed(fs.cat_file(path))
 
 
-def _to_disk(path: Path) -> None:
-    """Have the system write out a file or a folder's entries, and let others read the file."""
-    if path.is_file():
-        path.chmod(0o644)
-    descriptor = os.open(path, os.O_RDONLY)
+def _parsed(content: bytes) -> Manifest | None:
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        return Manifest.model_validate_json(content)
+    except ValidationError:
+        return None
 
 
-def _later_than_siblings(manifest: Path, step: Path) -> None:
-    """Date a manifest after those of the same step, even if the clock was put back: the newest is the last made."""
-    latest = max((path.stat().st_mtime_ns for path in step.glob(f"*/{MANIFEST}")), default=0)
-    if latest >= manifest.stat().st_mtime_ns:
-        os.utime(manifest, ns=(latest + 1_000_000, latest + 1_000_000))
+def _checked(reference: ArtifactRef, digest: str) -> str:
+    if reference.sha256 and digest != reference.sha256:
+        raise TamperedArtifactError(
+            f"The content of '{reference.name}' has changed since it was referenced.",
+            field="sha256",
+            value=digest,
+            accepted=reference.sha256,
+        )
+    return digest
+
+
+def _written(facts: Mapping[str, Any]) -> float:
+    """When a file was written, from what its file system tells of it: seconds, or a moment; 0 where neither."""
+    told = facts.get("mtime", facts.get("LastModified", facts.get("created", 0.0)))
+    return float(told.timestamp() if hasattr(told, "timestamp") else told)
 
 
 def _prefix(owner: str, name: str) -> str:

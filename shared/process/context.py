@@ -43,13 +43,7 @@ class JobContext:
 
         ContractError if the file is larger than the limits set.
         """
-        location, digest = self._store.open_reference(reference)
-        path = location.local
-        if path is None:
-            path = self._staging / "inputs" / f"{digest[:16]}-{reference.name}"
-            if not path.exists():
-                path.parent.mkdir(exist_ok=True)
-                location.fs.get_file(location.path, str(path))
+        path = self._store.fetch(reference, self._staging / "inputs")
         self._limits.check(path, reference.name)
         return path
 

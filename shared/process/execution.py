@@ -8,9 +8,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import InputEntry, Manifest, Product, combine, step_key
 from shared.artifacts.reference import ArtifactRef
-from shared.artifacts.store import ArtifactStore, StepAddress
+from shared.artifacts.store import ArtifactStore
 from shared.contracts.limits import InputLimits
 from shared.errors import SmokeglintError
 from shared.process.context import JobContext, Report, finite

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import sqlalchemy as sa
 
 from shared.errors import ConflictError, NotFoundError, TooManyJobsError, UnavailableError
+from shared.telemetry import logger
 
 Status = Literal["accepted", "running", "successful", "failed", "dismissed"]
 FINAL = ("successful", "failed", "dismissed")
@@ -88,26 +89,39 @@ class JobRegister:
     """Jobs of one service, one replica a database. Thread-safe through the engine's own connections.
 
     Every method raises UnavailableError while the database cannot be reached or written. A database that comes up
-    after its service is waited for.
+    after its service is waited for. ``schema`` names the tables' schema on PostgreSQL, so that services can share one
+    database; SQLite has none.
     """
 
-    def __init__(self, url: str, wait_s: float = _START_WAIT_S) -> None:
+    def __init__(self, url: str, wait_s: float = _START_WAIT_S, schema: str = "") -> None:
         # A server that was restarted has closed the pooled connections: each is tried before it is used.
-        options = {"connect_args": {"timeout": 30}} if url.startswith("sqlite") else {"pool_pre_ping": True}
-        self._engine = sa.create_engine(url, **options)
-        deadline = time.monotonic() + wait_s
+        options: dict[str, Any] = {"connect_args": {"timeout": 30}}
+        if url.startswith("postgresql"):
+            options = {"connect_args": {"connect_timeout": 10}, "pool_pre_ping": True}
+        self._schema = schema if url.startswith("postgresql") and schema else None
+        engine = sa.create_engine(url, **options)
+        self._engine = engine.execution_options(schema_translate_map={None: self._schema}) if self._schema else engine
+        self._await(wait_s)
+
+    def _await(self, wait_s: float) -> None:
+        deadline, pause_s = time.monotonic() + wait_s, _START_PAUSE_S
         while True:
             try:
                 self._prepare()
                 return
-            except UnavailableError:
+            except UnavailableError as error:
                 if time.monotonic() > deadline:
                     raise
-                time.sleep(_START_PAUSE_S)
+                logger().warning("waiting for the job database", again_in_s=pause_s, error=str(error.__cause__)[:300])
+                time.sleep(pause_s)
+                pause_s = min(2 * pause_s, 10.0)
 
     def _prepare(self) -> None:
         with _reached():
-            if _outdated(self._engine):
+            if self._schema:
+                with self._engine.begin() as connection:
+                    connection.execute(sa.schema.CreateSchema(self._schema, if_not_exists=True))
+            if _outdated(self._engine, self._schema):
                 _metadata.drop_all(self._engine)  # a release with other columns; the register holds no work
             _metadata.create_all(self._engine)
 
@@ -237,12 +251,13 @@ def _reached() -> Iterator[None]:
         raise UnavailableError("The job register cannot be reached or written just now; try again.") from error
 
 
-def _outdated(engine: sa.Engine) -> bool:
+def _outdated(engine: sa.Engine, schema: str | None) -> bool:
     """Whether the database holds a jobs table with other columns than this release's."""
     inspector = sa.inspect(engine)
-    if not inspector.has_table(_jobs.name):
+    if not inspector.has_table(_jobs.name, schema):
         return False
-    return {column["name"] for column in inspector.get_columns(_jobs.name)} != {column.name for column in _jobs.c}
+    found = inspector.get_columns(_jobs.name, schema)
+    return {column["name"] for column in found} != {column.name for column in _jobs.c}
 
 
 def _check_limit(connection: sa.Connection, owner: str, limit: int) -> None:

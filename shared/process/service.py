@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import anyio
 from pydantic import BaseModel, ConfigDict, Field
 
 from shared.artifacts.store import ArtifactStore
-from shared.errors import DomainError, JobFailedError, NotFoundError
+from shared.errors import DomainError, JobFailedError, NotFoundError, SmokeglintError
 from shared.process import execution
 from shared.process.declaration import Process, body_hash
 from shared.process.jobs import Job, JobRegister, JobRequest
@@ -50,7 +51,7 @@ class Service:
         self._version = execution.service_code_version(module)
         self.metrics = ServiceMetrics(name)
         self.store = ArtifactStore(settings.roots)
-        self.jobs = JobRegister(settings.database_url(name))
+        self.jobs = JobRegister(settings.database_url(name), settings.wait_s, schema=name)
         self.pool = WorkerPool(
             name, module, settings, self.jobs, self.metrics, lambda job_id: self.store.discard(name, job_id)
         )
@@ -59,6 +60,7 @@ class Service:
 
     def start(self) -> None:
         """Clear what a killed predecessor left, fail its running jobs, requeue its waiting ones, start the workers."""
+        self._await_store()
         swept = self.store.sweep(self.name, self.processes)
         detail = "The service was restarted while this job ran; submit it again."
         waiting = self.jobs.recover(problem(500, "about:blank", "The service was restarted", detail))
@@ -66,6 +68,17 @@ class Service:
         for job in waiting:
             self.pool.submit(job)
         self.pool.start()
+
+    def _await_store(self) -> None:
+        """Wait for a store that comes up after its service; SmokeglintError if it does not."""
+        deadline, pause_s = time.monotonic() + self.settings.wait_s, 0.5
+        while not self.store.writable():
+            root = self.settings.artifact_root
+            if time.monotonic() > deadline:
+                raise SmokeglintError(f"Nothing can be written under {root}; waited {self.settings.wait_s:.0f} s.")
+            logger().warning("waiting for the artifact store", root=root, again_in_s=pause_s)
+            time.sleep(pause_s)
+            pause_s = min(2 * pause_s, 10.0)
 
     def stop(self) -> None:
         """End the workers and release the database."""

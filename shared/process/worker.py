@@ -50,13 +50,13 @@ def worker_main(connection: Connection, settings: WorkerSettings) -> None:
         give_back_freed_memory()
 
 
-def load_processes(module: str) -> dict[str, Process]:
+def load_processes(module: str, *, warm: bool = True) -> dict[str, Process]:
     """The processes that a module declares in its list ``PROCESSES``, by id.
 
-    The modules named in its ``WARM_MODULES`` are imported as well, so that the first job does not pay for them.
+    With ``warm`` the modules named in its ``WARM_MODULES`` are imported as well: the first job does not pay for them.
     """
     declared = importlib.import_module(module)
-    for name in getattr(declared, "WARM_MODULES", ()):
+    for name in getattr(declared, "WARM_MODULES", ()) if warm else ():
         importlib.import_module(name)
     return {process.id: process for process in declared.PROCESSES}
 

@@ -39,9 +39,9 @@ def wait_for(port: int, process: subprocess.Popen[bytes], limit_s: float = 60.0)
 
 
 @contextlib.contextmanager
-def s3_server() -> Iterator[str]:
-    """The URL of an S3 server that holds its buckets in memory."""
-    port = free_port()
+def s3_server(port: int = 0) -> Iterator[str]:
+    """The URL of an S3 server that holds its buckets in memory, on that port or a free one."""
+    port = port or free_port()
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
@@ -53,8 +53,8 @@ def s3_server() -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def postgresql() -> Iterator[str]:
-    """The SQLAlchemy URL of an empty database of a PostgreSQL server of its own."""
+def postgresql(port: int = 0) -> Iterator[str]:
+    """The SQLAlchemy URL of an empty database of a PostgreSQL server of its own, on that port or a free one."""
     programs = sorted(Path("/usr/lib/postgresql").glob("*/bin/postgres"))
     if not programs:
         pytest.skip("needs PostgreSQL's server (Debian: postgresql)")
@@ -63,7 +63,7 @@ def postgresql() -> Iterator[str]:
     try:
         initdb = [programs[-1].with_name("initdb"), "-D", folder / "data", "-U", "smokeglint", "--auth=trust", "-N"]
         subprocess.run([*as_user, *initdb], check=True, capture_output=True, cwd="/")
-        port = free_port()
+        port = port or free_port()
         options = ["-p", str(port), "-h", "127.0.0.1", "-k", str(folder), "-F"]
         command = [*as_user, programs[-1], "-D", folder / "data", *options]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd="/")

@@ -10,10 +10,11 @@ from pathlib import Path
 import fsspec
 import pytest
 
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import Manifest, Product
 from shared.artifacts.reference import ArtifactRef, media_type
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import STAGING, ArtifactStore, StepAddress, describe_file
+from shared.artifacts.store import STAGING, ArtifactStore, describe_file
 from shared.errors import DomainError, ForbiddenReferenceError, MissingArtifactError, TamperedArtifactError
 from tests.shared.servers import S3_ENVIRONMENT, s3_server
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import MANIFEST, Manifest, Product
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore, StepAddress, describe_file
+from shared.artifacts.store import ArtifactStore, describe_file
 from tests.shared.toy_processes import limit_file_size
 
 ADDRESS = StepAddress("case", "cycle-1", "predict-access", "abc123")

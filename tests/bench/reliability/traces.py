@@ -10,9 +10,10 @@ from pathlib import Path
 
 import httpx
 
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import MANIFEST
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import STAGING, ArtifactStore, StepAddress
+from shared.artifacts.store import STAGING, ArtifactStore
 
 CASE = "simulated-tiny"
 
