@@ -10,9 +10,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import MANIFEST
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore, StepAddress
+from shared.artifacts.store import ArtifactStore
 from shared.errors import DomainError
 
 _LEFT_OUT = {".staging", ".logs", ".lock"}  # what a run in progress makes, and nobody needs afterwards

@@ -1,12 +1,11 @@
-"""All cycles of a case, each as one Prefect flow run, and what is made of them at the end."""
+"""All cycles of a case, each carried out as one run, and what is made of them at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -14,16 +13,17 @@ import pandas as pd
 from flows.case_store import BUNDLE, CALIBRATION, calibrate, first_bundle, import_into_store, inputs_of_cycle
 from flows.cases.bundle import Case
 from flows.catalogue import write_catalogue
-from flows.comparison import compare_cycles, local_file, read_reference
-from flows.cycle import PrefectRunner, close_stale_runs, run_as_flow
+from flows.comparison import compare_cycles, read_reference
 from flows.desk.approval import CyclePaused, Desk, NobodyDecides
 from flows.loop import run_cycle
 from flows.loop_types import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
 from flows.profiles import Profile
 from flows.published_day import PUBLISHED_ROWS, ROWS, map_priorities, plan_rows
-from flows.runner import DirectRunner, Display
+from flows.root import ArtifactRoot
+from flows.runner import Conductor, DirectRunner, Display, Runner
 from flows.stages import KNOWN_INPUTS
 from flows.steps import ASSEMBLE_INPUTS, SCORE, SCORE_PERIMETER, SITUATION
+from shared.artifacts.roots import is_local, local_path
 from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables
 from shared.memory import give_back_freed_memory
@@ -39,7 +39,7 @@ class CaseResult:
     cycles: list[CycleProducts]
     changes: Mapping[str, Any]
     perimeters: list[Mapping[str, Any]]
-    shown: list[Path]
+    shown: list[str]
     stale_runs: int
     paused: CyclePaused | None = None
     planner_rows: Sequence[Mapping[str, Any]] = ()
@@ -49,6 +49,7 @@ class CaseResult:
 class _CaseRun:
     """One case under way: where each named part runs, and everything made so far."""
 
+    conductor: Conductor
     case: Case
     store: ArtifactStore
     urls: Mapping[str, str]
@@ -63,15 +64,15 @@ class _CaseRun:
         name = f"{self.case.name}-{part}"
         return DirectRunner(self.urls, self.store, name, self.display, self.case.name, part, self.made)
 
-    def as_flow(self, part: str, run: Any) -> Any:
-        runner = PrefectRunner(self.runner(part))
-        return run_as_flow(f"{self.case.name}-{part}", lambda: run(runner))
+    def carry_out(self, part: str, work: Callable[[Runner], Any]) -> Any:
+        return self.conductor.run(f"{self.case.name}-{part}", self.runner(part), work)
 
 
 def run_case(
+    conductor: Conductor,
     case: Case,
     store: ArtifactStore,
-    root: Path,
+    root: ArtifactRoot,
     urls: Mapping[str, str],
     display: Display,
     profile: Profile,
@@ -87,11 +88,11 @@ def run_case(
     The cycles end where one can go no further yet: its plan is not approved by the ``desk``, or it is not over ``now``
     (where that is given). The result says which.
     """
-    stale = close_stale_runs()
-    run = _CaseRun(case, store, urls, display, profile, desk, now, [])
+    stale = conductor.close_stale_runs()
+    run = _CaseRun(conductor, case, store, urls, display, profile, desk, now, [])
     settings = profile.settings
-    inputs = run.as_flow(BUNDLE, lambda runner: import_into_store(runner, first_bundle(case)))
-    inputs = run.as_flow(
+    inputs = run.carry_out(BUNDLE, lambda runner: import_into_store(runner, first_bundle(case)))
+    inputs = run.carry_out(
         CALIBRATION,
         lambda runner: calibrate(runner, inputs, profile.calibration_days, profile.calibration_step_s, settings.seed),
     )
@@ -101,7 +102,9 @@ def run_case(
     for number in numbers:
         label = cycle_label(_cutoff(case, number, settings))
         if case.bundles:
-            inputs = run.as_flow(f"{BUNDLE}-{label}", partial(inputs_of_cycle, case=case, first=inputs, number=number))
+            inputs = run.carry_out(
+                f"{BUNDLE}-{label}", partial(inputs_of_cycle, case=case, first=inputs, number=number)
+            )
         last = _cycle(run, inputs, number, before, feedback, label)
         if isinstance(last, CyclePaused):
             paused = last
@@ -117,21 +120,26 @@ def run_case(
         without = replace(run, desk=NobodyDecides())
         plain = _cycle(without, inputs, numbers[-1], before, frozenset(), f"{done[-1].label}-{PLAIN}")
         assert isinstance(plain, CycleProducts)
-        changes = compare_cycles(done[-1].steps, plain.steps)
+        changes = compare_cycles(store, done[-1].steps, plain.steps)
     # Detections simulated over the perimeters would score themselves.
     seen = not case.provenance["detections"].simulated
     perimeters = _perimeter_scores(run, inputs) if seen and "perimeters" in inputs.inputs else []
     rows: Mapping[str, Any] = {}
     if PUBLISHED_ROWS in inputs.inputs:  # plans of their own: no step of the cycle, whose plan is the one on board
-        rows = run.as_flow(ROWS, lambda runner: plan_rows(runner, inputs, done[-1]))
+        rows = run.carry_out(ROWS, lambda runner: plan_rows(runner, inputs, done[-1]))
     times = _times(case, done[-1], [_cutoff(case, number, settings) for number in numbers])
     catalogue = write_catalogue(store, root, case.name, case.title, case.region, times, run.made)
-    shown = [local_file(cycle.steps["situation"]["map"]) for cycle in done]
     last_maps = [perimeters[-1]["map"]] if perimeters else done[-1].steps["infer-fire-arrival"]["maps"]
-    shown += [local_file(reference) for reference in last_maps]
+    maps = [*(cycle.steps["situation"]["map"] for cycle in done), *last_maps]
     if rows:
-        shown += [local_file(done[-1].steps["priority-map"]["map"]), local_file(rows["table"])]
+        maps += [done[-1].steps["priority-map"]["map"], rows["table"]]
+    shown = [_place(str(reference["href"])) for reference in maps]
     return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, paused, rows.get("rows", []))
+
+
+def _place(href: str) -> str:
+    """Where a person finds a file: its path on this machine, or its URL."""
+    return str(local_path(href)) if is_local(href) else href
 
 
 def _cutoff(case: Case, number: int, settings: LoopSettings) -> Any:
@@ -144,21 +152,19 @@ def _cycle(
     settings = run.profile.settings
     cutoff = _cutoff(run.case, number, settings)
 
-    def whole(runner: PrefectRunner) -> CycleProducts | CyclePaused:
+    def whole(runner: Runner) -> CycleProducts | CyclePaused:
         try:
             products = run_cycle(runner, inputs, cutoff, before, feedback, settings, run.desk, run.now)
         except CyclePaused as paused:  # no failure: the run ends here, and another goes on
             return paused
         return replace(products, steps={**products.steps, **_publish(runner, run.case, inputs, products)})
 
-    finished: CycleProducts | CyclePaused = run.as_flow(part, whole)
+    finished: CycleProducts | CyclePaused = run.carry_out(part, whole)
     give_back_freed_memory()
     return finished
 
 
-def _publish(
-    runner: PrefectRunner, case: Case, inputs: CaseInputs, cycle: CycleProducts
-) -> dict[str, Mapping[str, Any]]:
+def _publish(runner: Runner, case: Case, inputs: CaseInputs, cycle: CycleProducts) -> dict[str, Mapping[str, Any]]:
     """The map and the scores of a finished cycle; of a day with published planner rows also the map of priorities."""
     steps = cycle.steps
     # On a real case the surface that the simulator sees was itself made from the perimeters: no truth to score with.
@@ -189,15 +195,15 @@ def _publish(
 
 def _perimeter_scores(run: _CaseRun, inputs: CaseInputs) -> list[Mapping[str, Any]]:
     """For each mapped perimeter: the arrival map from the data up to it only, and its scores."""
-    table = read_reference(inputs.inputs["perimeters"], tables.PERIMETERS).sort_values("time")
+    table = read_reference(inputs.inputs["perimeters"], tables.PERIMETERS, run.store).sort_values("time")
     rows = list(table.itertuples())
-    scores: list[Mapping[str, Any]] = run.as_flow(
+    scores: list[Mapping[str, Any]] = run.carry_out(
         PERIMETERS, lambda runner: [_score_one(runner, run, inputs, row) for row in rows]
     )
     return scores
 
 
-def _score_one(runner: PrefectRunner, run: _CaseRun, inputs: CaseInputs, row: Any) -> Mapping[str, Any]:
+def _score_one(runner: Runner, run: _CaseRun, inputs: CaseInputs, row: Any) -> Mapping[str, Any]:
     time: pd.Timestamp = row.time
     given = {name: inputs.inputs.get(name) for name in KNOWN_INPUTS}
     known = runner.local(ASSEMBLE_INPUTS, {"cutoff": time.isoformat(), **given})

@@ -12,26 +12,28 @@ from typing import Any
 
 import pystac
 
+from flows.root import ArtifactRoot, named_root, work_folder
 from shared.artifacts.manifest import Manifest
+from shared.artifacts.roots import is_local, open_root
 from shared.artifacts.store import ArtifactStore
 
 PROCESSING = "https://stac-extensions.github.io/processing/v1.2.0/schema.json"
 FILE = "https://stac-extensions.github.io/file/v2.1.0/schema.json"
-FOLDER = "catalogue"
+FOLDER, CATALOGUE = "catalogue", "catalog.json"
 
 
 def write_catalogue(
     store: ArtifactStore,
-    root: Path,
+    root: ArtifactRoot,
     case: str,
     title: str,
     region: tuple[float, float, float, float],
     times: Mapping[str, datetime],
     made: Iterable[Mapping[str, Any]],
-) -> Path:
-    """Write ``{root}/{case}/catalogue/catalog.json`` over the steps whose outputs are in ``made``.
+) -> str:
+    """Write ``{root}/{case}/catalogue/catalog.json`` over the steps whose outputs are in ``made``; where that is.
 
-    ``times`` gives each cycle's time (UTC). Links are relative; the folder is replaced as a whole.
+    ``times`` gives each cycle's time (UTC). Links are relative; a folder is replaced as a whole.
     """
     wanted = _folders(made)
     manifests = {_folder(m): m for m in store.manifests(case) if _folder(m) in wanted}
@@ -43,14 +45,31 @@ def write_catalogue(
         part = pystac.Catalog(id=f"{case}-{cycle}", description=f"Products of {cycle}.")
         part.add_items(items[folder] for folder in sorted(items) if manifests[folder].cycle == cycle)
         catalogue.add_child(part)
-    final, fresh = root / case / FOLDER, root / case / f".{FOLDER}"
+    here = work_folder(root)  # links are relative, so it can be written here for a root that lies elsewhere
+    final, fresh = here / case / FOLDER, here / case / f".{FOLDER}"
     shutil.rmtree(fresh, ignore_errors=True)
     catalogue.normalize_hrefs(str(final))
-    _add_assets(items, manifests, root)
+    _add_assets(items, manifests, here)
     catalogue.save(pystac.CatalogType.SELF_CONTAINED, dest_href=str(fresh))
+    if not is_local(named_root(root)):
+        return _upload(fresh, f"{named_root(root)}/{case}/{FOLDER}")
     shutil.rmtree(final, ignore_errors=True)
     fresh.rename(final)
-    return final / "catalog.json"
+    return str(final / CATALOGUE)
+
+
+def _upload(folder: Path, url: str) -> str:
+    """Put a catalogue in the place of another on a remote store, its first page last; then remove what is left over."""
+    fs, base = open_root(url)
+    before = set(fs.find(base))
+    pages = sorted((path for path in folder.rglob("*.json")), key=lambda path: path == folder / CATALOGUE)
+    placed = {f"{base}/{path.relative_to(folder).as_posix()}": path for path in pages}
+    for target, path in placed.items():
+        fs.pipe_file(target, path.read_bytes())
+    if left_over := sorted(before - set(placed)):
+        fs.rm(left_over)
+    shutil.rmtree(folder)
+    return f"{url}/{CATALOGUE}"
 
 
 def _folders(made: Iterable[Mapping[str, Any]]) -> set[str]:

@@ -5,22 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 import pandas as pd
 
+from flows.root import fetched
+from shared.artifacts.reference import ArtifactRef
+from shared.artifacts.roots import local_path
+from shared.artifacts.store import ArtifactStore
 from shared.contracts import tables
 from shared.contracts.schema import TableSchema, read_table
 
 
-def local_file(reference: Mapping[str, Any]) -> Path:
-    """The path of a ``file://`` reference."""
-    return Path(unquote(urlsplit(str(reference["href"])).path))
+def local_file(reference: Mapping[str, Any], store: ArtifactStore | None = None) -> Path:
+    """The path of a ``file://`` reference, or of a checked copy where the ``store`` lies elsewhere."""
+    return local_path(str(reference["href"])) if store is None else fetched(store, ArtifactRef(**reference))
 
 
-def read_reference(reference: Mapping[str, Any], schema: TableSchema) -> pd.DataFrame:
+def read_reference(
+    reference: Mapping[str, Any], schema: TableSchema, store: ArtifactStore | None = None
+) -> pd.DataFrame:
     """A stored table."""
-    return read_table(local_file(reference), schema)
+    return read_table(local_file(reference, store), schema)
 
 
 def compare_targets(with_feedback: pd.DataFrame, without: pd.DataFrame) -> dict[str, int]:
@@ -52,13 +57,12 @@ def _images(schedule: pd.DataFrame) -> set[tuple[str, pd.Timestamp]]:
 
 
 def compare_cycles(
-    with_feedback: Mapping[str, Mapping[str, Any]], without: Mapping[str, Mapping[str, Any]]
+    store: ArtifactStore, with_feedback: Mapping[str, Mapping[str, Any]], without: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Targets and plan of two cycles' steps, compared; and each plan's objective on its own targets."""
-    targets = [read_reference(steps["build-targets"]["targets"], tables.TARGETS) for steps in (with_feedback, without)]
-    plans = [
-        read_reference(steps["plan-observations"]["schedule"], tables.SCHEDULE) for steps in (with_feedback, without)
-    ]
+    both = (with_feedback, without)
+    targets = [read_reference(steps["build-targets"]["targets"], tables.TARGETS, store) for steps in both]
+    plans = [read_reference(steps["plan-observations"]["schedule"], tables.SCHEDULE, store) for steps in both]
     return {
         **compare_targets(*targets),
         **compare_schedules(*plans),

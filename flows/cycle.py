@@ -18,7 +18,7 @@ from prefect.client.schemas.filters import (
 from prefect.client.schemas.objects import StateType
 from prefect.states import Crashed
 
-from flows.runner import Runner
+from flows.runner import DirectRunner, Runner
 from shared.client import is_transient
 from shared.errors import JobFailedError
 from shared.process import Process
@@ -41,9 +41,15 @@ class PrefectRunner:
         return _as_task(process.id, lambda: self._inner.local(process, inputs))
 
 
-def run_as_flow(name: str, run: Callable[[], Any]) -> Any:
-    """Run a function as one flow run; its tasks are those of a PrefectRunner used inside."""
-    return flow(name=CYCLE, flow_run_name=name, persist_result=False, validate_parameters=False)(run)()
+class PrefectConductor:
+    """Runs each part of a case as one flow run, and its steps as tasks."""
+
+    def close_stale_runs(self) -> int:
+        return close_stale_runs()
+
+    def run(self, name: str, runner: DirectRunner, work: Callable[[Runner], Any]) -> Any:
+        part = flow(name=CYCLE, flow_run_name=name, persist_result=False, validate_parameters=False)
+        return part(lambda: work(PrefectRunner(runner)))()
 
 
 def _as_task(name: str, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import fcntl
 import logging
 import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -23,9 +23,16 @@ from flows.display import ConsoleDisplay, comparison_table, cycle_table, perimet
 from flows.loop_types import FEEDBACKS
 from flows.prefect_server import running_prefect_server
 from flows.profiles import PAPER_DAYS, profile_of
-from flows.runner import flow_code_version, open_store
-from flows.services import SERVICES, running_services, wait_until_ready
+from flows.root import ArtifactRoot, named_root, work_folder
+from flows.root_lock import only_run
+from flows.runner import Conductor, flow_code_version, open_store
+from flows.services import SERVICES, process_environment, running_services, wait_until_ready
+from shared.artifacts.store import ArtifactStore
 from shared.errors import DomainError, SmokeglintError
+from shared.tracing import configure_tracing
+
+if TYPE_CHECKING:
+    from flows.case_run import CaseResult
 
 SIMULATED = ("tiny", "demo")
 REAL = ("black-2022", *PAPER_DAYS)
@@ -37,20 +44,21 @@ class RunOptions:
     """What is to be run: ``cycles`` 0 is all that the case has, ``plain`` leaves the comparison out."""
 
     case: str
-    root: Path
+    root: str
     cycles: int
     cycle_hours: int
     without: tuple[str, ...]
     plain: bool
     services: str
     approve: bool = True
+    ephemeral: bool = False
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a case from the command line; the exit status is 1 if it could not be run."""
-    options = _options(arguments)
     console = Console(soft_wrap=True)
     try:
+        options = _options(arguments)
         with only_run(options.root):
             run_case_here(options, console)
     except (SmokeglintError, TimeoutError) as error:
@@ -64,10 +72,13 @@ def _options(arguments: Sequence[str] | None) -> RunOptions:
     parser.add_argument(
         "--case", default="demo", help=f"{', '.join((*SIMULATED, *REAL, LIVE))}, or a folder with case.toml"
     )
-    parser.add_argument("--root", type=Path, default=Path("artifacts"), help="folder for all artifacts")
+    parser.add_argument("--root", default="artifacts", help="folder for all artifacts, or s3://bucket/prefix")
     parser.add_argument("--cycles", type=int, default=0, help="how many cycles; as the case says if left out")
     parser.add_argument("--cycle-hours", type=int, default=24, choices=(6, 12, 24), help="length of a cycle")
     parser.add_argument("--without", nargs="*", default=[], choices=sorted(FEEDBACKS), help="feedbacks to leave out")
+    parser.add_argument(
+        "--ephemeral", action="store_true", help="in this one process: no Prefect, services or database"
+    )
     parser.add_argument("--plain", action="store_true", help="do not run the last cycle again without feedback")
     parser.add_argument(
         "--services",
@@ -78,22 +89,23 @@ def _options(arguments: Sequence[str] | None) -> RunOptions:
     given = parser.parse_args(arguments)
     return RunOptions(
         given.case,
-        given.root.resolve(),
+        named_root(given.root),
         given.cycles,
         given.cycle_hours,
         tuple(given.without),
         given.plain,
         given.services,
+        ephemeral=given.ephemeral,
     )
 
 
 def run_case_here(options: RunOptions, console: Console) -> None:
-    """Build the case, start the services (unless some are named) and Prefect's server, run the loop, show it."""
+    """Build the case, start what its steps need (unless they run in this process), run the loop, show it."""
     begun = time.monotonic()
+    configure_tracing("flow")
     console.print(f"Smokeglint: case {options.case}, artifacts under {options.root}", highlight=False)
-    services = nullcontext(named_services(options.services)) if options.services else running_services(options.root)
-    with services as urls, running_prefect_server(options.root):
-        console.print("Building the case while the services start …")
+    with _services(options) as urls, nullcontext() if options.ephemeral else running_prefect_server(options.root):
+        console.print("Building the case" if options.ephemeral else "Building the case while the services start …")
         case = build_case(options.case, options.root)
         if case.simulated:
             console.print("This case is SIMULATED: orbits and stations are real, nature and measurements are not.")
@@ -101,31 +113,56 @@ def run_case_here(options: RunOptions, console: Console) -> None:
         ready_s = time.monotonic() - begun
         display = ConsoleDisplay(console)
         try:
-            _loop(options, console, case, urls, display)
+            _show(_loop(options, case, urls, display), options, case, console)
         finally:
             display.close()
     console.print(f"Ready after {ready_s:.0f} s, all done after {time.monotonic() - begun:.0f} s.", highlight=False)
 
 
-def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str], display: ConsoleDisplay) -> None:
-    logging.getLogger("prefect").setLevel(logging.ERROR)
-    from flows.case_run import run_case  # prefect reads its settings when it is imported: not before the server runs
+def _services(options: RunOptions) -> AbstractContextManager[dict[str, str]]:
+    """The services to use, by URL: those named, some of our own, or none where their processes run in this process."""
+    if not options.ephemeral:
+        return nullcontext(named_services(options.services)) if options.services else running_services(options.root)
+    if options.services:
+        raise DomainError("An ephemeral run uses no services.", field="services", value=options.services)
+    for name, value in process_environment().items():
+        os.environ.setdefault(name, value)
+    return nullcontext({})
 
-    store = open_store(options.root, case.folder)
+
+def _loop(options: RunOptions, case: Case, urls: dict[str, str], display: ConsoleDisplay) -> CaseResult:
+    from flows.case_run import run_case
+
+    conductor, store = _conducting(options, case)
     feedback = frozenset(FEEDBACKS) - frozenset(options.without)
     chosen = profile_of(options.case, options.cycle_hours)
     numbers = range(1, (options.cycles or case.cycles) + 1)
     desk = PeopleDecide.of_case(options.root, case.name, automatic=options.approve)
-    again_plain = not options.plain
-    given = (case, store, options.root, urls, display, chosen, feedback, numbers)
+    given = (conductor, case, store, options.root, urls, display, chosen, feedback, numbers)
     now = now_utc() if options.case == LIVE else None  # of a live cycle only what can have happened by now is run
-    result = run_case(*given, again_plain=again_plain, desk=desk, now=now)
+    return run_case(*given, again_plain=not options.plain, desk=desk, now=now)
+
+
+def _conducting(options: RunOptions, case: Case) -> tuple[Conductor, ArtifactStore]:
+    if options.ephemeral:
+        from flows.ephemeral import EphemeralConductor, open_whole_store
+
+        return EphemeralConductor(), open_whole_store(options.root, case.folder)
+    logging.getLogger("prefect").setLevel(logging.ERROR)
+    from flows.cycle import (
+        PrefectConductor,  # prefect reads its settings when it is imported: not before the server runs
+    )
+
+    return PrefectConductor(), open_store(options.root, case.folder)
+
+
+def _show(result: CaseResult, options: RunOptions, case: Case, console: Console) -> None:
     if result.stale_runs:
         console.print(f"Closed {result.stale_runs} flow run(s) that an earlier, killed run had left open.")
     if isinstance(result.paused, AwaitingApproval):
         console.print(f"{result.paused} Look at it, decide ('smokeglint approve --help'), and run this again.")
     if isinstance(result.paused, CycleUnderWay):
-        console.print(f"{result.paused} Run this again then; its plan is under {options.root / case.name}.")
+        console.print(f"{result.paused} Run this again then; its plan is under {options.root}/{case.name}.")
     if not result.cycles:
         return
     console.print()
@@ -141,16 +178,17 @@ def _loop(options: RunOptions, console: Console, case: Case, urls: dict[str, str
         console.print(f"  {path}", highlight=False)
 
 
-def build_case(name: str, root: Path) -> Case:
-    """The case of that name, built under ``root/.cases`` unless this very code has built it already.
+def build_case(name: str, root: ArtifactRoot) -> Case:
+    """The case of that name, built under ``.cases`` in the work folder unless this very code has built it already.
 
     ``live`` is never built here: it is made of what was fetched, bundle by bundle (``flows.cases.live``).
     """
     if name == LIVE:
         from flows.cases.live.bundles import read_live
 
-        return read_live(root)
-    folder = root / ".cases" / f"{name}-{flow_code_version().split('+')[1]}" if name in SIMULATED + REAL else Path(name)
+        return read_live(work_folder(root))
+    built = work_folder(root) / ".cases" / f"{name}-{flow_code_version().split('+')[1]}"
+    folder = built if name in SIMULATED + REAL else Path(name)
     if name not in SIMULATED + REAL or (folder / "case.toml").exists():
         return read_case(folder)
     shutil.rmtree(folder, ignore_errors=True)
@@ -199,26 +237,6 @@ def real_data() -> Path:
             accepted="an existing folder",
         )
     return Path(folder)
-
-
-@contextmanager
-def only_run(root: Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Hold the root's lock, which the system frees even if this process is killed.
-
-    DomainError if another still holds it after ``wait_s``.
-    """
-    root.mkdir(parents=True, exist_ok=True)
-    deadline = time.monotonic() + wait_s
-    with (root / ".lock").open("w") as lock:
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except OSError as error:
-                if time.monotonic() >= deadline:
-                    raise DomainError(f"Another run works on {root}; wait for it or take another --root.") from error
-                time.sleep(0.5)
-        yield
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Prefect without a server to look after: one of our own for the time of a run, without a user interface.
 
 Prefect's ephemeral server outlives a killed flow. This one is a child that ends with its parent, keeps its database
-under the artifact root, and so lets the next run find and close what a killed run left as Running.
+under the work folder of the artifact root, and so lets the next run find and close what a killed run left as Running.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from flows.root import ArtifactRoot, work_folder
 from flows.services import end_process
+from shared.errors import SmokeglintError
+from shared.telemetry import logger
 
 
-def prefect_environment(root: Path) -> dict[str, str]:
-    """Prefect's settings for a run: its home under the artifact root, nothing sent anywhere, only warnings logged."""
-    home = root / ".prefect"
+def prefect_environment(root: ArtifactRoot) -> dict[str, str]:
+    """Prefect's settings for a run: its home in the root's work folder, nothing sent anywhere, only warnings logged."""
+    home = work_folder(root) / ".prefect"
     return {
         "PREFECT_HOME": str(home),
         "PREFECT_API_DATABASE_CONNECTION_URL": f"sqlite+aiosqlite:///{home / 'prefect.db'}",
@@ -33,12 +36,34 @@ def prefect_environment(root: Path) -> dict[str, str]:
     }
 
 
+def await_prefect(api_url: str, wait_s: float = 300.0) -> None:
+    """Wait for a Prefect server that comes up after us; SmokeglintError if it does not within ``wait_s``."""
+    import httpx
+    from tenacity import Retrying, retry_if_exception_type, stop_after_delay, wait_exponential
+
+    def ask() -> None:
+        httpx.get(f"{api_url.rstrip('/')}/health", timeout=5.0).raise_for_status()
+
+    patiently = Retrying(
+        retry=retry_if_exception_type(httpx.HTTPError),
+        wait=wait_exponential(0.5, max=10.0),
+        stop=stop_after_delay(wait_s),
+        before_sleep=lambda _: logger().warning("waiting for Prefect's server", url=api_url),
+        reraise=True,
+    )
+    try:
+        patiently(ask)
+    except httpx.HTTPError as error:
+        raise SmokeglintError(f"Prefect's server at {api_url} does not answer: {error}") from error
+
+
 @contextmanager
-def running_prefect_server(root: Path) -> Iterator[str]:
+def running_prefect_server(root: ArtifactRoot) -> Iterator[str]:
     """Start the server; yields the API's URL for PREFECT_API_URL. Must surround the first import of prefect."""
     os.environ.update(prefect_environment(root))
-    (root / ".prefect").mkdir(parents=True, exist_ok=True)
-    with socket.socket() as listener, (root / ".prefect" / "server.log").open("ab") as log:
+    home = work_folder(root) / ".prefect"
+    home.mkdir(parents=True, exist_ok=True)
+    with socket.socket() as listener, (home / "server.log").open("ab") as log:
         listener.bind(("127.0.0.1", 0))
         listener.listen(128)
         port = listener.getsockname()[1]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 from flows.desk.standing import CYCLE, case_folder
-from shared.artifacts.manifest import MANIFEST
+from flows.root import ArtifactRoot, store_of
 from shared.errors import DomainError
 
 # The order in which a cycle runs them.
@@ -33,13 +32,7 @@ CYCLE_STEPS = (
 )
 
 
-def finished_cycles(root: Path, case: str) -> list[str]:
-    """The cycles of a case that have finished steps, oldest first: folders named by a cut-off."""
-    folders = [path for path in (root / case).iterdir() if re.fullmatch(CYCLE, path.name)]
-    return sorted(path.name for path in folders if any(path.glob(f"*/*/{MANIFEST}")))
-
-
-def forget_from(root: Path, case: str, step: str, cycle: int = 0) -> int:
+def forget_from(root: ArtifactRoot, case: str, step: str, cycle: int = 0) -> int:
     """Remove the manifests of a step and of those after it in a cycle (by number; 0: the last); how many there were.
 
     ``case`` is the name of the case or the end of it (``tiny`` of ``simulated-tiny``). DomainError: no such step or
@@ -48,15 +41,17 @@ def forget_from(root: Path, case: str, step: str, cycle: int = 0) -> int:
     if step not in CYCLE_STEPS:
         raise DomainError(f"A cycle has no step '{step}'.", field="from-step", accepted=", ".join(CYCLE_STEPS))
     folder = case_folder(root, case)
-    labels = finished_cycles(root, folder)
+    store = store_of(root)
+    addresses = [address for address in store.addresses(folder) if re.fullmatch(CYCLE, address.cycle)]
+    labels = sorted({address.cycle for address in addresses})
     if not labels or cycle > len(labels):
         found = ", ".join(labels) or "none"
         raise DomainError(
             f"Case '{case}' has no finished cycle {cycle or ''} under {root}.", field="cycle", value=found
         )
     later = CYCLE_STEPS[CYCLE_STEPS.index(step) :]
-    chosen = root / folder / labels[(cycle or len(labels)) - 1]
-    manifests = [path for name in later for path in chosen.glob(f"{name}/*/{MANIFEST}")]
-    for path in manifests:
-        path.unlink()
-    return len(manifests)
+    chosen = labels[(cycle or len(labels)) - 1]
+    forgotten = [address for address in addresses if address.cycle == chosen and address.step in later]
+    for address in forgotten:
+        store.forget(address)
+    return len(forgotten)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from flows.root import ArtifactRoot, store_of, work_folder
 from flows.timings import note_seconds
-from shared.artifacts.roots import Roots, is_local, local_path
 from shared.artifacts.store import ArtifactStore
 from shared.client import ProcessClient
 from shared.process import Process, execution
+from shared.telemetry import correlation_id
+from shared.tracing import span
 from shared.versions import code_version
 
 OWNER = "flow"
@@ -44,6 +47,16 @@ class Runner(Protocol):
         """Outputs of one of the flow's own steps."""
 
 
+class Conductor(Protocol):
+    """What a case needs of whoever runs its parts."""
+
+    def close_stale_runs(self) -> int:
+        """Close what a killed run left open; how many there were."""
+
+    def run(self, name: str, runner: DirectRunner, work: Callable[[Runner], Any]) -> Any:
+        """The result of ``work``, run as one part of a case under that name, its steps by way of ``runner``."""
+
+
 @dataclass
 class DirectRunner:
     """Runs each step at once, and remembers the outputs of all of them for the catalogue."""
@@ -63,19 +76,28 @@ class DirectRunner:
             self._show(process, percent, message, begun, done=False)
 
         progress(0, "")
-        with ProcessClient(self.urls[service], correlation_id=self.correlation_id) as client:
+        with self._traced(process), ProcessClient(self.urls[service], correlation_id=self.correlation_id) as client:
             outputs = client.execute(process, self._addressed(inputs), progress=progress)
         return self._finish(process, outputs, begun)
 
     def local(self, process: Process, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        return self.run_here(process, inputs, flow_code_version())
+
+    def run_here(self, process: Process, inputs: Mapping[str, Any], version: str) -> dict[str, Any]:
+        """Outputs of a process whose code has this version, run in this very process."""
         begun = time.monotonic()
         self._show(process.id, 0, "", begun, done=False)
-        checked = execution.validate_inputs(process, self._addressed(inputs))
-        step = execution.resolve_step(process, checked, self.store, flow_code_version())
-        outputs = execution.finished_outputs(step, self.store)
-        if outputs is None:
-            outputs = execution.run_step(step, self.store, OWNER, step.address.key, lambda *_: None)
+        with self._traced(process.id):
+            checked = execution.validate_inputs(process, self._addressed(inputs))
+            step = execution.resolve_step(process, checked, self.store, version)
+            outputs = execution.finished_outputs(step, self.store)
+            if outputs is None:
+                outputs = execution.run_step(step, self.store, OWNER, step.address.key, lambda *_: None)
         return self._finish(process.id, outputs, begun)
+
+    def _traced(self, process: str) -> AbstractContextManager[None]:
+        correlation_id.set(self.correlation_id)
+        return span(f"step {process}", case=self.case, cycle=self.cycle, process=process)
 
     def _addressed(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         given = {name: value for name, value in inputs.items() if value is not None}
@@ -88,10 +110,9 @@ class DirectRunner:
         return outputs
 
     def _note(self, process: str, outputs: Mapping[str, Any], seconds: float) -> None:
-        """Keep how long it took, under the folder of the step; a store elsewhere has no place for such a log."""
-        root, step = self.store.roots.artifact_root, step_folder(outputs)
-        if step and is_local(root):
-            note_seconds(local_path(root), self.case, self.cycle, process, step, seconds)
+        """Keep how long it took on this machine, under the folder of the step."""
+        if step := step_folder(outputs):
+            note_seconds(work_folder(self.store.roots.artifact_root), self.case, self.cycle, process, step, seconds)
 
     def _show(self, process: str, percent: float, message: str, begun: float, *, done: bool) -> None:
         self.display(StepEvent(self.cycle, process, percent, message, time.monotonic() - begun, done))
@@ -110,13 +131,13 @@ def flow_code_version() -> str:
     return code_version(_FLOWS, _FLOWS.parent / "shared")
 
 
-def open_store(root: Path, case_folder: Path) -> ArtifactStore:
-    """The artifact store of a run on this machine, cleared of what a killed run left half-done.
+def open_store(root: ArtifactRoot, case_folder: Path) -> ArtifactStore:
+    """The artifact store of a run, cleared of what a killed run left half-done.
 
     The case's own folder may be read as well: it need not lie below the root.
     """
     from flows.steps import LOCAL_STEPS
 
-    store = ArtifactStore(Roots(str(root), (str(case_folder),)))
+    store = store_of(root, case_folder)
     store.sweep(OWNER, [process.id for process in LOCAL_STEPS])
     return store

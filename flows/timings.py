@@ -1,4 +1,4 @@
-"""How long each step took on this machine: a log beside the artifacts, since no clock may enter a product."""
+"""How long each step took on this machine: a log in the work folder, since no clock may enter a product."""
 
 from __future__ import annotations
 

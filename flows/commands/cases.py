@@ -12,6 +12,7 @@ from rich.table import Table
 from flows.clock import now_utc
 from flows.commands.options import Root, box_of
 from flows.demo import LIVE, REAL, SIMULATED, build_case
+from flows.root import work_folder
 
 app = typer.Typer(help="Case bundles.", no_args_is_help=True)
 
@@ -31,15 +32,15 @@ def list_cases() -> None:
 @app.command()
 def build(
     name: str,
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     area: Annotated[str, typer.Option(help="live: west,south,east,north in degrees; as before if left out")] = "",
     ingested: Annotated[Path, typer.Option("--from", help="live: folder of 'smokeglint ingest'")] = Path("live"),
 ) -> None:
     """Build a case, or find it built, and say where it lies. Of 'live' the bundle of the cycle that has begun."""
     if name == LIVE:
-        _build_live(root.resolve(), area, ingested)
+        _build_live(work_folder(root), area, ingested)
         return
-    case = build_case(name, root.resolve())
+    case = build_case(name, root)
     kind = "SIMULATED" if case.simulated else "real"
     print(f"{case.folder}\n{case.title}: {kind}, {case.cycles} cycles from {case.first_cutoff:%Y-%m-%d %H:%M} UTC")
 

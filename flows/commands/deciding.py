@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -25,14 +24,14 @@ Until = Annotated[str, typer.Option(help="cut-off of the last cycle it holds for
 def approve(
     case: CaseName,
     why: Why,
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     cycle: Annotated[str, typer.Option(help="cut-off of the cycle; empty: the newest plan")] = "",
     reject: Annotated[bool, typer.Option("--reject", help="reject it instead")] = False,
     who: Who = "",
 ) -> None:
     """Approve (or reject) the plan of a cycle as it stands now; a plan made anew needs a new approval."""
-    folder = case_folder(root.resolve(), case)
-    plans = plan_standings(root.resolve(), folder, DecisionLog(root.resolve(), folder).all())
+    folder = case_folder(root, case)
+    plans = plan_standings(root, folder, DecisionLog(root, folder).all())
     chosen = [plan for plan in plans if cycle in ("", plan.cycle)]
     if not chosen:
         raise DomainError(f"There is no plan of cycle '{cycle}' in case '{folder}'.", field="cycle", value=cycle)
@@ -42,26 +41,26 @@ def approve(
     print(f"{'rejected' if reject else 'approved'} the plan of {plan.cycle} ({plan.schedule_sha256[:12]}) by {name}")
 
 
-def plans(case: CaseName, root: Root = Path("artifacts")) -> None:
+def plans(case: CaseName, root: Root = "artifacts") -> None:
     """Where the plan of each cycle stands, who decided, and when."""
-    folder = case_folder(root.resolve(), case)
+    folder = case_folder(root, case)
     table = Table("cycle", "plan", "state", "history")
-    for plan in plan_standings(root.resolve(), folder, DecisionLog(root.resolve(), folder).all()):
+    for plan in plan_standings(root, folder, DecisionLog(root, folder).all()):
         history = " → ".join(" ".join(part for part in step if part) for step in plan.history)
         table.add_row(plan.cycle, plan.schedule_sha256[:12], plan.state, history)
     Console().print(table)
 
 
-def decisions(case: CaseName, root: Root = Path("artifacts")) -> None:
+def decisions(case: CaseName, root: Root = "artifacts") -> None:
     """Every decision about a case, oldest first."""
-    folder = case_folder(root.resolve(), case)
-    for item in DecisionLog(root.resolve(), folder).all():
+    folder = case_folder(root, case)
+    for item in DecisionLog(root, folder).all():
         about = item.target_id if item.target_id is not None else item.schedule_sha256[:12] or item.kind
         print(f"{item.at:%Y-%m-%d %H:%M:%S} {item.who}: {item.action} {about} from {item.cycle} - {item.why}")
 
 
-def _about_target(case: str, root: Path, who: str, **decided: Any) -> None:
-    folder = case_folder(root.resolve(), case)
+def _about_target(case: str, root: str, who: str, **decided: Any) -> None:
+    folder = case_folder(root, case)
     decision = keep(root, folder, who=who or getpass.getuser(), **decided)
     print(f"{decision.action} kept as {decision.id}")
 
@@ -76,7 +75,7 @@ def add(
     priority: Annotated[float, typer.Option(help="reward: 0.1 to 1 active, 0 to 0.9 pre-fire")],
     kind: Annotated[str, typer.Option(help="active or prefire")] = "active",
     until: Until = "",
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     who: Who = "",
 ) -> None:
     """Add a target at a place."""
@@ -91,7 +90,7 @@ def pin(
     why: Why,
     cycle: Cycle,
     until: Until = "",
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     who: Who = "",
 ) -> None:
     """Demand that a target is observed."""
@@ -105,7 +104,7 @@ def exclude(
     why: Why,
     cycle: Cycle,
     until: Until = "",
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     who: Who = "",
 ) -> None:
     """Leave a target out."""
@@ -120,7 +119,7 @@ def reweight(
     cycle: Cycle,
     priority: Annotated[float, typer.Option(help="its new reward of equation 1")],
     until: Until = "",
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     who: Who = "",
 ) -> None:
     """Give a target another reward."""
@@ -130,6 +129,6 @@ def reweight(
 
 
 @target_app.command()
-def release(target: int, case: CaseName, why: Why, cycle: Cycle, root: Root = Path("artifacts"), who: Who = "") -> None:
+def release(target: int, case: CaseName, why: Why, cycle: Cycle, root: Root = "artifacts", who: Who = "") -> None:
     """Take back what was decided about a target."""
     _about_target(case, root, who, action="release", target_id=target, why=why, cycle=cycle)

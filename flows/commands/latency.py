@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -12,6 +11,7 @@ from rich.table import Table
 
 from flows.commands.options import CaseName, Root
 from flows.desk.standing import case_folder, newest_steps
+from flows.root import ArtifactRoot, read_bytes, work_folder
 from flows.timings import step_seconds
 from shared.errors import DomainError
 
@@ -33,17 +33,17 @@ _SHOWN = {
 }
 
 
-def latency_of(root: Path, case: str) -> list[dict[str, Any]]:
+def latency_of(root: ArtifactRoot, case: str) -> list[dict[str, Any]]:
     """The latency report of each executed cycle, oldest first, with the seconds that computing took here.
 
     DomainError: nothing of the case has been executed yet.
     """
     folder, found = case_folder(root, case), []
-    seconds = step_seconds(root, folder)
+    seconds = step_seconds(work_folder(root), folder)
     for cycle, steps in sorted(newest_steps(root, folder).items()):
         if "execute" in steps and REPORT in steps["execute"].files:
             manifest = steps["execute"]
-            report = json.loads((root / folder / cycle / "execute" / manifest.key / REPORT).read_bytes())
+            report = json.loads(read_bytes(root, f"{folder}/{cycle}/execute/{manifest.key}/{REPORT}"))
             found.append({"cycle": cycle, **report, "computing_s": _computing(seconds.get(cycle, {}))})
     if not found:
         raise DomainError(f"No cycle of '{case}' has been executed yet.", field="case", value=case)
@@ -63,11 +63,11 @@ def _computing(took: dict[str, float]) -> dict[str, Any]:
 
 def latency(
     case: CaseName,
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document, for programs")] = False,
 ) -> None:
     """How long from observation to product to the next plan on board, step by step (hours: median, 95 %, longest)."""
-    reports = latency_of(root.resolve(), case)
+    reports = latency_of(root, case)
     if as_json:
         print(json.dumps(reports, indent=1))
         return

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from shared.errors import DomainError
 
-Root = Annotated[Path, typer.Option("--root", help="folder of all artifacts", envvar="SMOKEGLINT_ROOT")]
+Root = Annotated[
+    str, typer.Option("--root", help="folder of all artifacts, or s3://bucket/prefix", envvar="SMOKEGLINT_ROOT")
+]
 CaseName = Annotated[str, typer.Option("--case", help="name of a case, or a folder with case.toml")]
 
 

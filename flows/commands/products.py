@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -14,23 +13,22 @@ from rich.table import Table
 from flows.commands.options import CaseName, Root
 from flows.desk.standing import CYCLE, case_folder
 from flows.redo import CYCLE_STEPS
+from flows.root import store_of
 from shared.artifacts.manifest import Manifest
-from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore
 
 # What every cycle goes through; decisions of people are a step only where there are some.
 _EXPECTED = tuple(step for step in CYCLE_STEPS if step != "apply-decisions")
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON document, for programs")]
 
 
-def manifests_of(root: Path, case: str) -> list[Manifest]:
+def manifests_of(root: str, case: str) -> list[Manifest]:
     """The finished steps of a case, by its name or the end of it; DomainError if there are none."""
-    return list(ArtifactStore(Roots(str(root))).manifests(case_folder(root, case)))
+    return list(store_of(root).manifests(case_folder(root, case)))
 
 
-def status(case: CaseName, root: Root = Path("artifacts"), as_json: AsJson = False) -> None:
+def status(case: CaseName, root: Root = "artifacts", as_json: AsJson = False) -> None:
     """Where each cycle stands, how old its oldest input is, and what share is simulated."""
-    rows = [_standing(cycle, found) for cycle, found in _by_cycle(manifests_of(root.resolve(), case))]
+    rows = [_standing(cycle, found) for cycle, found in _by_cycle(manifests_of(root, case))]
     if as_json:
         print(json.dumps(rows, indent=1))
         return
@@ -66,7 +64,7 @@ def _standing(cycle: str, found: list[Manifest]) -> dict[str, Any]:
 
 def products(
     case: CaseName,
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     cycle: Annotated[str, typer.Option(help="only this cycle, e.g. 20250901T1200Z")] = "",
     kind: Annotated[str, typer.Option(help="only files that end so, e.g. png")] = "",
     as_json: AsJson = False,
@@ -80,7 +78,7 @@ def products(
             "bytes": entry.size,
             "simulated": manifest.product_of(name).simulated,
         }
-        for manifest in manifests_of(root.resolve(), case)
+        for manifest in manifests_of(root, case)
         for name, entry in sorted(manifest.files.items())
         if name.endswith(kind) and cycle in ("", manifest.cycle)
     ]

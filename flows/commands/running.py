@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from flows.commands.options import CaseName, Root
-from flows.demo import RunOptions, only_run, run_case_here
+from flows.demo import RunOptions, run_case_here
 from flows.loop_types import FEEDBACKS
 from flows.redo import forget_from
+from flows.root import named_root
+from flows.root_lock import only_run
 from shared.errors import DomainError
 
 
 def run(
     case: CaseName,
-    root: Root = Path("artifacts"),
+    root: Root = "artifacts",
     cycle: Annotated[int, typer.Option(help="run up to this cycle; 0: all that the case has")] = 0,
     from_step: Annotated[str, typer.Option(help="make this step and those after it anew, in the last cycle run")] = "",
     cycle_hours: Annotated[int, typer.Option(help="length of a cycle: 6, 12 or 24")] = 24,
@@ -25,6 +26,10 @@ def run(
     compare: Annotated[bool, typer.Option("--compare", help="run the last cycle again without feedback")] = False,
     wait: Annotated[
         bool, typer.Option("--wait-for-approval", help="stop before the uplink of a plan that is a draft")
+    ] = False,
+    ephemeral: Annotated[
+        bool,
+        typer.Option("--ephemeral", "--without-prefect", help="in this one process: no Prefect, services or database"),
     ] = False,
     services: Annotated[str, typer.Option(envvar="SMOKEGLINT_SERVICES", help="use running ones: name=url,…")] = "",
 ) -> None:
@@ -34,7 +39,8 @@ def run(
     for name in without:
         if name not in FEEDBACKS:
             raise DomainError(f"There is no feedback '{name}'.", field="without", accepted=", ".join(FEEDBACKS))
-    options = RunOptions(case, root.resolve(), cycle, cycle_hours, tuple(without), not compare, services, not wait)
+    named = (case, named_root(root), cycle, cycle_hours, tuple(without))
+    options = RunOptions(*named, not compare, services, not wait, ephemeral)
     console = Console(soft_wrap=True)
     with only_run(options.root):
         if from_step:

@@ -21,8 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from flows.desk.briefing import briefing
 from flows.desk.decisions import Decision, DecisionLog, keep
 from flows.desk.standing import case_folder, newest_steps, plan_standings
-from shared.artifacts.reference import media_type
-from shared.artifacts.roots import Roots, local_path
+from flows.root import exists, fetched, named_root, store_of
+from shared.artifacts.reference import ArtifactRef, media_type
 from shared.errors import DomainError, NotFoundError
 from shared.process.app import CorrelationMiddleware, add_error_answers
 from shared.security.exposure import refuse_exposure
@@ -75,7 +75,7 @@ def create_desk(settings: ServiceSettings | None = None) -> FastAPI:
             watch.cancel()
 
     app = FastAPI(title="Smokeglint desk", version=RELEASE, lifespan=lifespan, openapi_url="/api", docs_url=None)
-    app.state.root = local_path(chosen.artifact_root).resolve()
+    app.state.root = named_root(chosen.artifact_root)
     app.add_middleware(GateMiddleware, authenticator=authenticator)
     app.add_middleware(CorrelationMiddleware)
     add_error_answers(app)
@@ -84,8 +84,8 @@ def create_desk(settings: ServiceSettings | None = None) -> FastAPI:
     return app
 
 
-def _root(request: Request) -> Path:
-    root: Path = request.app.state.root
+def _root(request: Request) -> str:
+    root: str = request.app.state.root
     return root
 
 
@@ -96,7 +96,7 @@ def _case(request: Request, case: str) -> str:
         raise NotFoundError("page", case, str(error)) from error
 
 
-RootFolder = Annotated[Path, Depends(_root)]
+RootFolder = Annotated[str, Depends(_root)]
 CaseFolder = Annotated[str, Depends(_case)]
 
 
@@ -128,10 +128,9 @@ def _add_pages(app: FastAPI) -> None:
         if any(part.startswith(".") for part in path.split("/")):
             raise NotFoundError("page", path)  # decisions, databases and keys are nobody's to fetch
         try:
-            found = Roots(str(root)).resolve(path).local
+            found = fetched(store_of(root), ArtifactRef(href=path))
         except DomainError as error:
             raise NotFoundError("page", path) from error
-        assert found is not None
         return FileResponse(found, media_type=media_type(found.name))
 
     @app.get("/healthz", summary="Whether the desk is alive")
@@ -167,12 +166,11 @@ def _add_documents(app: FastAPI) -> None:
         return keep(root, case, **decided)
 
 
-def _cases(root: Path) -> list[str]:
-    folders = sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
-    return [path.name for path in folders if not path.name.startswith(".") and newest_steps(root, path.name)]
+def _cases(root: str) -> list[str]:
+    return [case for case in store_of(root).cases() if newest_steps(root, case)] if exists(root) else []
 
 
-def _plan_of(root: Path, case: str, cycle: str) -> str:
+def _plan_of(root: str, case: str, cycle: str) -> str:
     for plan in plan_standings(root, case, DecisionLog(root, case).all()):
         if plan.cycle == cycle:
             return plan.schedule_sha256

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Protocol
 
 from flows.desk.decisions import Decision, DecisionLog, additions, target_changes, verdict_on
+from flows.root import ArtifactRoot
 
 
 class CyclePaused(Exception):
@@ -57,7 +57,7 @@ class PeopleDecide:
     automatic: bool = False
 
     @classmethod
-    def of_case(cls, root: Path, case: str, *, automatic: bool) -> PeopleDecide:
+    def of_case(cls, root: ArtifactRoot, case: str, *, automatic: bool) -> PeopleDecide:
         return cls(DecisionLog(root, case), automatic)
 
     def target_changes(self, cycle: str) -> list[dict[str, Any]]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePath
 from typing import Any
 
 import pandas as pd
 
 from flows.desk.decisions import DecisionLog
 from flows.desk.standing import PlanStanding, newest_steps, plan_standings
+from flows.root import ArtifactRoot, read_bytes
 from shared.artifacts.manifest import Manifest
 from shared.errors import DomainError
 
@@ -38,7 +40,7 @@ class Briefing:
     decisions: list[str]
 
 
-def briefing(root: Path, case: str, cycle: str) -> Briefing:
+def briefing(root: ArtifactRoot, case: str, cycle: str) -> Briefing:
     """The facts of a cycle; DomainError if it has no finished step."""
     cycles = newest_steps(root, case)
     if cycle not in cycles:
@@ -71,7 +73,7 @@ def _pictures(steps: Steps) -> list[tuple[str, str]]:
         if name.endswith(PICTURES) and not name.startswith(TILES_FOR_PROGRAMS)
     ]
     return [
-        (f"{step}: {Path(name).stem.replace('_', ' ')}", _path(manifest, name))
+        (f"{step}: {PurePath(name).stem.replace('_', ' ')}", _path(manifest, name))
         for (*_, step, name), manifest in sorted(found, key=lambda pair: pair[0])
     ]
 
@@ -80,20 +82,20 @@ def _path(manifest: Manifest, name: str) -> str:
     return f"{manifest.case}/{manifest.cycle}/{manifest.product.process}/{manifest.key}/{name}"
 
 
-def _read_json(root: Path, steps: Steps, step: str) -> dict[str, Any]:
+def _read_json(root: ArtifactRoot, steps: Steps, step: str) -> dict[str, Any]:
     if step not in steps:
         return {}
-    document: dict[str, Any] = json.loads((root / _path(steps[step], "report.json")).read_bytes())
+    document: dict[str, Any] = json.loads(read_bytes(root, _path(steps[step], "report.json")))
     return document
 
 
-def _read_table(root: Path, steps: Steps, step: str, name: str) -> pd.DataFrame | None:
+def _read_table(root: ArtifactRoot, steps: Steps, step: str, name: str) -> pd.DataFrame | None:
     if step not in steps or name not in steps[step].files:
         return None
-    return pd.read_parquet(root / _path(steps[step], name))
+    return pd.read_parquet(io.BytesIO(read_bytes(root, _path(steps[step], name))))
 
 
-def _numbers(root: Path, steps: Steps) -> dict[str, str]:
+def _numbers(root: ArtifactRoot, steps: Steps) -> dict[str, str]:
     plan = _read_json(root, steps, "plan-observations")
     if not plan:
         return {}
@@ -108,11 +110,11 @@ def _numbers(root: Path, steps: Steps) -> dict[str, str]:
     return told
 
 
-def _latency(root: Path, executed: Manifest) -> dict[str, str]:
+def _latency(root: ArtifactRoot, executed: Manifest) -> dict[str, str]:
     """From observation to product, in hours of the cycle's time; empty for cycles that an older release executed."""
     if "latency.json" not in executed.files:
         return {}
-    modes = json.loads((root / _path(executed, "latency.json")).read_bytes())["modes"]
+    modes = json.loads(read_bytes(root, _path(executed, "latency.json")))["modes"]
     spreads = {mode: row["observed_to_product_h"] for mode, row in modes.items() if row["observations"]}
     return {
         f"observation to product, {mode}": f"median {hours['median']} h, longest {hours['longest']} h"
@@ -120,7 +122,7 @@ def _latency(root: Path, executed: Manifest) -> dict[str, str]:
     }
 
 
-def _fires(root: Path, steps: Steps) -> list[dict[str, Any]]:
+def _fires(root: ArtifactRoot, steps: Steps) -> list[dict[str, Any]]:
     """For each fire: why it ranks where it does, how many of its targets are planned, and why the others are not."""
     outcomes = _read_table(root, steps, "plan-observations", "target_outcomes.parquet")
     targets = _read_table(root, steps, "build-targets", "targets.parquet")
@@ -148,7 +150,7 @@ def _fire(fire: Mapping[str, Any], own: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _changes(root: Path, steps: Steps, before: Steps) -> list[str]:
+def _changes(root: ArtifactRoot, steps: Steps, before: Steps) -> list[str]:
     """What is different from the cycle before: targets come, gone and re-weighted; commands kept, dropped, added."""
     now, then = (_read_table(root, found, "build-targets", "targets.parquet") for found in (steps, before))
     if now is None or then is None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import uuid
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from flows.root import ArtifactRoot, documents, keep_document
 from shared.errors import DomainError
 
 Action = Literal["approve", "reject", "add", "pin", "exclude", "reweight", "release"]
@@ -62,31 +61,26 @@ class Decision(BaseModel):
 class DecisionLog:
     """The decisions about one case: a file each under ``{root}/{case}/.decisions``."""
 
-    def __init__(self, root: Path, case: str) -> None:
+    def __init__(self, root: ArtifactRoot, case: str) -> None:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", case):
             raise DomainError(f"'{case}' cannot be the name of a case.", field="case", value=case)
-        self._folder = root / case / ".decisions"
+        self._root, self._folder = root, f"{case}/.decisions"
 
     def append(self, decision: Decision) -> Decision:
         """Keep a decision: written whole or not at all."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"{decision.at.astimezone(UTC):%Y%m%dT%H%M%S%f}-{decision.id}.json"
-        fresh = path.with_suffix(".tmp")
-        with open(fresh, "w", encoding="utf-8") as stream:
-            stream.write(decision.model_dump_json(indent=1, exclude_none=True) + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        fresh.rename(path)
+        name = f"{decision.at.astimezone(UTC):%Y%m%dT%H%M%S%f}-{decision.id}.json"
+        content = decision.model_dump_json(indent=1, exclude_none=True) + "\n"
+        keep_document(self._root, f"{self._folder}/{name}", content.encode())
         return decision
 
     def all(self) -> list[Decision]:
         """Every decision, oldest first; DomainError names a file that is none."""
         found = []
-        for path in sorted(self._folder.glob("*.json")):
+        for name, content in documents(self._root, self._folder, ".json"):
             try:
-                found.append(Decision.model_validate_json(path.read_bytes()))
+                found.append(Decision.model_validate_json(content))
             except ValidationError as error:
-                raise DomainError(f"The decision {path.name} cannot be read: {error}", field=path.name) from error
+                raise DomainError(f"The decision {name} cannot be read: {error}", field=name) from error
         return sorted(found, key=lambda decision: (decision.at, decision.id))
 
 
@@ -135,7 +129,7 @@ def verdict_on(decisions: Iterable[Decision], schedule_sha256: str) -> Decision 
     return about[-1] if about else None
 
 
-def keep(root: Path, case: str, **decided: Any) -> Decision:
+def keep(root: ArtifactRoot, case: str, **decided: Any) -> Decision:
     """Check a decision and keep it; DomainError says what is wrong with it."""
     try:
         decision = Decision(**{name: value for name, value in decided.items() if value not in (None, "")})
@@ -143,4 +137,4 @@ def keep(root: Path, case: str, **decided: Any) -> Decision:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))
         raise DomainError(f"This is no decision: {where} {first['msg']}".strip(), field=where) from error
-    return DecisionLog(root.resolve(), case).append(decision)
+    return DecisionLog(root, case).append(decision)

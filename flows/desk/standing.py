@@ -6,13 +6,11 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from flows.desk.decisions import Decision, verdict_on
-from shared.artifacts.manifest import MANIFEST, Manifest
-from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore
+from flows.root import ArtifactRoot, exists, read_bytes, store_of
+from shared.artifacts.manifest import Manifest
 from shared.errors import DomainError
 
 STATES = ("draft", "rejected", "approved", "uplinked", "executed", "downlinked")
@@ -33,40 +31,39 @@ class PlanStanding:
         return self.history[-1][0]
 
 
-def case_folder(root: Path, case: str) -> str:
+def case_folder(root: ArtifactRoot, case: str) -> str:
     """The folder name of a case, given by its name or the end of it; DomainError if there is none."""
-    names = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
-    named = [name for name in names if not name.startswith(".") and (name == case or name.endswith(f"-{case}"))]
+    names = store_of(root).cases() if exists(root) else []
+    named = [name for name in names if name == case or name.endswith(f"-{case}")]
     if not named:
-        known = ", ".join(name for name in names if not name.startswith(".")) or "none"
+        known = ", ".join(names) or "none"
         raise DomainError(
             f"Nothing of case '{case}' is finished under {root}.", field="case", value=case, accepted=known
         )
     return named[0]
 
 
-def newest_steps(root: Path, case: str) -> dict[str, dict[str, Manifest]]:
+def newest_steps(root: ArtifactRoot, case: str) -> dict[str, dict[str, Manifest]]:
     """The newest finished step of each process, by cycle; parts of a case that are no cycle are left out."""
     cycles: dict[str, dict[str, tuple[float, Manifest]]] = {}
-    for manifest in ArtifactStore(Roots(str(root))).manifests(case):
+    for manifest, written in store_of(root).dated_manifests(case):
         if not re.fullmatch(CYCLE, manifest.cycle):
             continue
         step = manifest.product.process
-        written = (root / case / manifest.cycle / step / manifest.key / MANIFEST).stat().st_mtime
         known = cycles.setdefault(manifest.cycle, {})
         if step not in known or written > known[step][0]:
             known[step] = (written, manifest)
     return {cycle: {step: manifest for step, (_, manifest) in steps.items()} for cycle, steps in cycles.items()}
 
 
-def plan_standings(root: Path, case: str, decisions: list[Decision]) -> list[PlanStanding]:
+def plan_standings(root: ArtifactRoot, case: str, decisions: list[Decision]) -> list[PlanStanding]:
     """The newest plan of each cycle, oldest cycle first, and how far it has come."""
     newest = newest_steps(root, case)
     planned = sorted(cycle for cycle, steps in newest.items() if "plan-observations" in steps)
     return [_standing(root, cycle, newest[cycle], decisions) for cycle in planned]
 
 
-def _standing(root: Path, cycle: str, steps: Mapping[str, Manifest], decisions: list[Decision]) -> PlanStanding:
+def _standing(root: ArtifactRoot, cycle: str, steps: Mapping[str, Manifest], decisions: list[Decision]) -> PlanStanding:
     digest = steps["plan-observations"].files[SCHEDULE].sha256
     history = [("draft", "", "")]
     verdict = verdict_on(decisions, digest)
@@ -93,9 +90,9 @@ def _of_plan(manifest: Manifest | None, digest: str) -> Manifest | None:
     return manifest if manifest and any(entry.sha256 == digest for entry in manifest.inputs) else None
 
 
-def _document(root: Path, manifest: Manifest, name: str) -> dict[str, Any]:
-    path = root / manifest.case / manifest.cycle / manifest.product.process / manifest.key / name
-    document: dict[str, Any] = json.loads(path.read_bytes())
+def _document(root: ArtifactRoot, manifest: Manifest, name: str) -> dict[str, Any]:
+    path = "/".join((manifest.case, manifest.cycle, manifest.product.process, manifest.key, name))
+    document: dict[str, Any] = json.loads(read_bytes(root, path))
     return document
 
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 from prefect import flow, serve
@@ -14,8 +13,10 @@ from prefect.client.schemas.objects import ConcurrencyLimitConfig, ConcurrencyLi
 
 from flows.clock import now_utc
 from flows.cycle import close_stale_runs
+from flows.root import named_root
 from flows.serving.live import LiveSettings, rate_now, run_due_cycles
 from shared.telemetry import configure_logging, logger
+from shared.tracing import configure_tracing
 
 DAILY, HOURLY = "daily-cycle", "hourly-ratings"
 # A run that comes while another is at work has nothing to add: the next one catches up.
@@ -33,7 +34,8 @@ def daily_cycle(
 ) -> str:
     """What is due of the daily cycles."""
     configure_logging("flow", "INFO")
-    settings = LiveSettings(case, Path(root), services, approve, _missed(missed), cycle_hours)
+    configure_tracing("flow")
+    settings = LiveSettings(case, named_root(root), services, approve, _missed(missed), cycle_hours)
     said = run_due_cycles(settings, now_utc())
     logger().info("turn ended", flow=DAILY, said=said)
     return said
@@ -43,7 +45,8 @@ def daily_cycle(
 def hourly_ratings(case: str, root: str, services: str = "") -> str:
     """The ratings of the hour."""
     configure_logging("flow", "INFO")
-    said = rate_now(LiveSettings(case, Path(root), services), now_utc())
+    configure_tracing("flow")
+    said = rate_now(LiveSettings(case, named_root(root), services), now_utc())
     logger().info("turn ended", flow=HOURLY, said=said)
     return said
 
@@ -61,7 +64,7 @@ def serve_for_ever(settings: LiveSettings, cutoff: datetime) -> None:
     """
     closed = close_stale_runs((DAILY, HOURLY))
     logger().info("serving", case=settings.case, closed_stale_runs=closed)
-    common = {"case": settings.case, "root": str(settings.root), "services": settings.services}
+    common = {"case": settings.case, "root": settings.root, "services": settings.services}
     chosen = {"approve": settings.approve, "missed": settings.missed, "cycle_hours": settings.cycle_hours}
     daily = daily_cycle.to_deployment(
         name="serve",

@@ -6,19 +6,20 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 
 from flows.case_store import BUNDLE, import_into_store
 from flows.cases.bundle import Case, read_case
 from flows.cases.live.build import NAME as LIVE
 from flows.cases.live.bundles import add_bundle, has_bundle, read_frame
-from flows.demo import build_case, named_services, only_run
+from flows.demo import build_case, named_services
 from flows.desk.approval import PeopleDecide
 from flows.desk.decisions import DecisionLog
 from flows.desk.standing import plan_standings
 from flows.ingest.sources import fetch_all
 from flows.loop_types import FEEDBACKS, cycle_label
 from flows.profiles import profile_of
+from flows.root import work_folder
+from flows.root_lock import only_run
 from flows.runner import DirectRunner, StepEvent, open_store
 from flows.services import running_services, wait_until_ready
 from flows.serving.due import Missed, cycles_begun, cycles_to_run, hour_of
@@ -31,7 +32,7 @@ class LiveSettings:
     """What an operator sets once. ``services`` names running ones; without it they are started for the turn."""
 
     case: str
-    root: Path
+    root: str
     services: str = ""
     approve: bool = True
     missed: Missed = "catch-up"
@@ -40,7 +41,8 @@ class LiveSettings:
 
 def run_due_cycles(settings: LiveSettings, now: datetime) -> str:
     """Go through the cycles that are due, as far as each can be taken by now; a line says how far that was."""
-    from flows.case_run import run_case  # prefect reads its settings when it is imported
+    from flows.case_run import run_case
+    from flows.cycle import PrefectConductor  # prefect reads its settings when it is imported
 
     with only_run(settings.root):
         case = _present_case(settings, now)
@@ -53,7 +55,7 @@ def run_due_cycles(settings: LiveSettings, now: datetime) -> str:
             profile = profile_of(settings.case, settings.cycle_hours)
             desk = PeopleDecide.of_case(settings.root, case.name, automatic=settings.approve)
             feedback = frozenset(FEEDBACKS)
-            given = (case, store, settings.root, urls, _log_step, profile, feedback, numbers)
+            given = (PrefectConductor(), case, store, settings.root, urls, _log_step, profile, feedback, numbers)
             result = run_case(*given, again_plain=False, desk=desk, now=now)
     last = f"{result.cycles[-1].label} is finished" if result.cycles else "no cycle is finished"
     return f"{case.name}: {last}. {result.paused or ''}".strip()
@@ -76,18 +78,16 @@ def rate_now(settings: LiveSettings, now: datetime) -> str:
 
 def _present_case(settings: LiveSettings, now: datetime) -> Case:
     """The case; of the live one, where its cycle has no bundle yet, the providers are asked and the bundle is made."""
-    if settings.case == LIVE and not has_bundle(settings.root, now):
-        frame = read_frame(settings.root)
+    if settings.case == LIVE and not has_bundle(work_folder(settings.root), now):
+        frame = read_frame(work_folder(settings.root))
         for line in fetch_all(frame.area, frame.ingested, now).said:
             logger().info("fetched", source=line)
-        add_bundle(settings.root, now)
+        add_bundle(work_folder(settings.root), now)
     return build_case(settings.case, settings.root)
 
 
 def _planned(settings: LiveSettings, case: Case) -> set[int]:
     """The numbers of the cycles that have a plan."""
-    if not (settings.root / case.name).is_dir():
-        return set()
     decisions = DecisionLog(settings.root, case.name).all()
     labels = {standing.cycle for standing in plan_standings(settings.root, case.name, decisions)}
     numbers = range(1, case.cycles + 1)

@@ -12,9 +12,10 @@ import pytest
 from flows.backup import back_up, restore
 from flows.commands.__main__ import main
 from flows.desk.decisions import Decision, DecisionLog
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import Manifest, Product
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore, StepAddress, describe_file
+from shared.artifacts.store import ArtifactStore, describe_file
 from shared.errors import DomainError
 from shared.process.jobs import JobRegister, JobRequest
 

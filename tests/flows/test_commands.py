@@ -9,9 +9,10 @@ import pytest
 
 from flows.commands.__main__ import main
 from flows.redo import CYCLE_STEPS, forget_from
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import Manifest, Product
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore, StepAddress, describe_file
+from shared.artifacts.store import ArtifactStore, describe_file
 from shared.errors import DomainError
 from shared.security.api_keys import KeyRing
 

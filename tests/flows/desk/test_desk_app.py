@@ -13,9 +13,10 @@ from fastapi.testclient import TestClient
 
 from flows.desk.app import create_desk
 from flows.desk.decisions import DecisionLog
+from shared.artifacts.address import StepAddress
 from shared.artifacts.manifest import InputEntry, Manifest, Product
 from shared.artifacts.roots import Roots
-from shared.artifacts.store import ArtifactStore, StepAddress, describe_file
+from shared.artifacts.store import ArtifactStore, describe_file
 from shared.security.api_keys import add_key
 from shared.settings import ServiceSettings
 
