@@ -1,4 +1,4 @@
-# One image for the five services and the flow; docker-compose.yml gives each container its command.
+# One image for the services, the flow and the desk; docker-compose.yml gives each container its command.
 
 # Pin a digest here where builds must be reproducible: --build-arg BASE=python:3.11-slim@sha256:...
 ARG BASE=python:3.11.14-slim-bookworm
@@ -19,7 +19,7 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/* \
     && groupadd --gid 10001 smokeglint \
     && useradd --uid 10001 --gid 10001 --home-dir /tmp --no-create-home --shell /usr/sbin/nologin smokeglint \
-    && install --directory --owner=10001 --group=10001 /data /keys
+    && install --directory --owner=10001 --group=10001 /keys /stores /work
 COPY --from=build /opt/venv /opt/venv
 WORKDIR /app
 COPY shared shared
@@ -27,7 +27,7 @@ COPY services services
 COPY flows flows
 # The root file system is read-only when this runs, so byte code is made here.
 RUN /opt/venv/bin/python -m compileall -q shared services flows
-# Only /data and /tmp are written to. Spinning OpenMP threads cost eight times the time on shared cores.
+# Only the volumes and /tmp are written to. Spinning OpenMP threads cost eight times the time on shared cores.
 ENV PATH=/opt/venv/bin:$PATH \
     PYTHONPATH=/app \
     PYTHONUNBUFFERED=1 \
@@ -39,6 +39,6 @@ ENV PATH=/opt/venv/bin:$PATH \
     OMP_NUM_THREADS=2 \
     OMP_WAIT_POLICY=PASSIVE
 USER 10001:10001
-VOLUME /data /keys
-EXPOSE 8001 8002 8003 8004 8005
+VOLUME /keys /stores /work
+EXPOSE 8000 8001 8002 8003 8004 8005
 CMD ["uvicorn", "services.access.app:app", "--host", "0.0.0.0", "--port", "8001", "--no-access-log"]

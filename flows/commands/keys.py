@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated
@@ -40,12 +41,39 @@ def add(
 
 
 @app.command()
-def prepare(folder: Path) -> None:
+def prepare(
+    folder: Path,
+    stores: Annotated[Path | None, typer.Option(help="folder for passwords of PostgreSQL and of the S3 store")] = None,
+) -> None:
     """Make, once, a folder of keys: ``keys.json``, ``flow.key`` of the loop and ``admin.key`` of the administrator."""
+    if stores is not None:
+        _prepare_stores(stores)
     folder.mkdir(parents=True, exist_ok=True)
     for name, scope in (("flow", "execute"), ("admin", "admin")):
         if not (folder / f"{name}.key").exists():
             add(name, folder / "keys.json", [scope], save_to=folder / f"{name}.key")
+
+
+def _prepare_stores(folder: Path) -> None:
+    """Passwords of the two stores, once, in the forms that servers and clients read them in."""
+    if (folder / "pgpass").exists():  # written last
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    password, identity, secret = secrets.token_urlsafe(32), secrets.token_hex(10), secrets.token_urlsafe(32)
+    credentials = f"[default]\naws_access_key_id = {identity}\naws_secret_access_key = {secret}\n"
+    # The servers read theirs under user names of their own; the folder is shared by the containers only.
+    for name, mode, text in (
+        ("postgres.password", 0o644, password),
+        ("s3.id", 0o644, identity),
+        ("s3.secret", 0o644, secret),
+        ("aws", 0o600, credentials),
+        ("pgpass", 0o600, f"*:*:*:smokeglint:{password}\n"),
+    ):
+        path = folder / name
+        path.unlink(missing_ok=True)
+        path.touch(mode=mode)
+        path.write_text(text, encoding="utf-8")
+        path.chmod(mode)
 
 
 @app.command("list")

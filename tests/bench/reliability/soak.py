@@ -51,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def hourly_cycles(platform: Platform, cycles: int) -> list[dict[str, float]]:
     """Run them; the resident memory (MB) of each process after each cycle."""
-    from flows.case_run import run_case  # prefect reads its settings when it is imported
+    from flows.case_run import run_case
+    from flows.cycle import PrefectConductor  # prefect reads its settings when it is imported
     from flows.demo import build_case
     from flows.desk.approval import PeopleDecide
     from flows.loop_types import FEEDBACKS
@@ -76,7 +77,7 @@ def hourly_cycles(platform: Platform, cycles: int) -> list[dict[str, float]]:
     store = open_store(platform.root, case.folder)
     desk = PeopleDecide.of_case(platform.root, case.name, automatic=True)
     given = (case, store, platform.root, platform.urls, watch, profile, frozenset(FEEDBACKS), range(1, cycles + 1))
-    run_case(*given, again_plain=False, desk=desk)
+    run_case(PrefectConductor(), *given, again_plain=False, desk=desk)
     return taken
 
 
