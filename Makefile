@@ -66,7 +66,7 @@ up: ## the services in containers (docker compose)
 	docker compose up --build
 
 lock: $(READY) ## write requirements.lock anew from pyproject.toml
-	@$(VENV)/bin/pip-compile --quiet --extra dev --strip-extras --no-emit-index-url --no-emit-find-links --no-emit-options \
+	@$(VENV)/bin/pip-compile --quiet --extra dev --extra traces --strip-extras --no-emit-index-url --no-emit-find-links --no-emit-options \
 	  --no-annotate --no-header --output-file requirements.lock pyproject.toml
 	@# A local label such as 2.13.0+cpu is not served by other indexes.
 	@sed -i 's/^torch==\([0-9.]*\)+cpu$$/torch==\1/' requirements.lock
