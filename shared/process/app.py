@@ -93,6 +93,7 @@ def create_app(
 
 def add_error_answers(app: FastAPI) -> None:
     """Let every error of an application be answered by its problem document."""
+
     async def known(_: Request, error: Exception) -> Response:
         return problem_response(problem_of(error))
 

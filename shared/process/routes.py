@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar
 
 import anyio
 import anyio.to_thread
@@ -21,6 +22,7 @@ from shared.security.principal import Principal
 from shared.telemetry import correlation_id
 
 router = APIRouter()
+Answered = TypeVar("Answered")
 
 
 def _service(request: Request) -> Service:
@@ -31,6 +33,15 @@ def _service(request: Request) -> Service:
 def _principal(request: Request) -> Principal:
     principal: Principal = request.state.principal
     return principal
+
+
+async def _read(service: Service, question: Callable[[Service], Answered]) -> Answered:
+    """Ask the register or the store: here, if they lie on this machine, else in a thread.
+
+    A local answer takes less time than a thread, and threads starve while the event loop is busy with other clients
+    (50 clients: 95 % within 65 ms instead of 133 ms); a database or store elsewhere may keep us waiting.
+    """
+    return question(service) if service.on_this_machine else await run_in_threadpool(question, service)
 
 
 def _base(request: Request) -> str:
@@ -117,13 +128,13 @@ async def _body(request: Request, limit: int) -> bytes | Response:
 
 
 @router.get("/jobs", summary="Jobs, newest first", response_model=dict[str, Any])
-def jobs(
+async def jobs(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=1000, description="most jobs in one answer")] = 50,
     offset: Annotated[int, Query(ge=0, le=2**31, description="leave out so many of the newest")] = 0,
 ) -> Response:
     base = _base(request)
-    found = _service(request).jobs.all(limit, offset)
+    found = await _read(_service(request), lambda service: service.jobs.all(limit, offset))
     links = [_job_page(base, limit, offset, "self", "this list")]
     if len(found) == limit:
         links.append(_job_page(base, limit, offset + limit, "next", "older jobs"))
@@ -136,14 +147,14 @@ def _job_page(base: str, limit: int, offset: int, relation: str, title: str) -> 
 
 
 @router.get("/jobs/{job_id}", summary="The state of a job", response_model=dict[str, Any])
-def job_status(request: Request, job_id: str) -> Response:
-    return JSONResponse(_status(_service(request).jobs.status(job_id), _base(request)))
+async def job_status(request: Request, job_id: str) -> Response:
+    job = await _read(_service(request), lambda service: service.jobs.status(job_id))
+    return JSONResponse(_status(job, _base(request)))
 
 
 @router.get("/jobs/{job_id}/results", summary="The outputs of a job", response_model=dict[str, Any])
-def job_results(request: Request, job_id: str) -> Response:
-    service = _service(request)
-    return JSONResponse(service.results(service.jobs.get(job_id)))
+async def job_results(request: Request, job_id: str) -> Response:
+    return JSONResponse(await _read(_service(request), lambda service: service.results(service.jobs.get(job_id))))
 
 
 @router.delete("/jobs/{job_id}", summary="Dismiss a job")
@@ -165,9 +176,8 @@ async def healthz() -> dict[str, str]:
 @router.get(
     "/readyz", summary="Whether the service can work: a warm worker, the store, the job register", tags=["operations"]
 )
-def readyz(request: Request) -> Response:
-    service = _service(request)
-    checks = {"worker": service.pool.ready, "store": service.store.writable(), "jobs": service.jobs.answers()}
+async def readyz(request: Request) -> Response:
+    checks = await _read(_service(request), Service.checks)
     return JSONResponse({"ready": all(checks.values()), **checks}, status_code=200 if all(checks.values()) else 503)
 
 

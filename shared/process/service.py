@@ -9,6 +9,7 @@ from typing import Any
 import anyio
 from pydantic import BaseModel, ConfigDict, Field
 
+from shared.artifacts.roots import is_local
 from shared.artifacts.store import ArtifactStore
 from shared.errors import DomainError, JobFailedError, NotFoundError, SmokeglintError
 from shared.process import execution
@@ -51,7 +52,9 @@ class Service:
         self._version = execution.service_code_version(module)
         self.metrics = ServiceMetrics(name)
         self.store = ArtifactStore(settings.roots)
-        self.jobs = JobRegister(settings.database_url(name), settings.wait_s, schema=name)
+        database = settings.database_url(name)
+        self.jobs = JobRegister(database, settings.wait_s, schema=name)
+        self.on_this_machine = database.startswith("sqlite") and is_local(settings.artifact_root)
         self.pool = WorkerPool(
             name, module, settings, self.jobs, self.metrics, lambda job_id: self.store.discard(name, job_id)
         )
@@ -84,6 +87,10 @@ class Service:
         """End the workers and release the database."""
         self.pool.stop()
         self.jobs.close()
+
+    def checks(self) -> dict[str, bool]:
+        """What the service cannot work without, and whether it is there."""
+        return {"worker": self.pool.ready, "store": self.store.writable(), "jobs": self.jobs.answers()}
 
     def process(self, process_id: str) -> Process:
         """The process of that id; NotFoundError names those there are."""

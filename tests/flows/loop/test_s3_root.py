@@ -58,7 +58,7 @@ def test_a_cycle_on_s3_is_the_same_to_the_byte(
     folders = [path.parent for path in tiny.root.glob(f"{case}/*/*/*/manifest.json")]
     for folder in folders:
         relative = folder.relative_to(tiny.root)
-        if set(relative.parts) & set(SEEDED):
+        if set(relative.parts) & set(SEEDED) and tiny.cycles[1].label not in relative.parts:
             remote.put([str(path) for path in folder.iterdir()], f"{s3_root}/{relative.as_posix()}/")
     assert main(["run", "--case", "tiny", "--root", s3_root, "--ephemeral", "--cycle", "1"]) == 0, (
         capsys.readouterr().out
