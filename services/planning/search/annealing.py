@@ -30,6 +30,8 @@ SETTLING_S = 1.0
 """Seconds after which the pace of the steps is known."""
 PUNCTUALITY = 0.95
 """Share of the time left that a hurried cooling plans to use."""
+SLOW_START = 0.6
+"""Steps at the hot start take up to so much longer than the rest: no reason yet to hurry."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ class _Cooling:
         size, remaining = min(BATCH_MOVES, self.moves - self.done), self.moves - self.done
         now = self.left()
         spent = self.begun - now
-        if self.done and spent > SETTLING_S and spent * remaining > now * PUNCTUALITY * self.done:
+        patience = PUNCTUALITY + SLOW_START * (1.0 - self.share)
+        if self.done and spent > SETTLING_S and spent * remaining > now * patience * self.done:
             self.hurried = True
             remaining = max(size, int(now * PUNCTUALITY * self.done / spent))
         self.done += size
