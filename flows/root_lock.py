@@ -78,14 +78,15 @@ class Lease:
         try:
             yield
         except KeyboardInterrupt:
-            if self._lost:
-                raise SmokeglintError(f"Another run took over {self._url}: the lock could not be renewed.") from None
-            raise
+            if not self._lost:
+                raise
         finally:
             self._over.set()
             keeper.join()
             if not self._lost:
                 self._release()
+        if self._lost:
+            raise SmokeglintError(f"The lock of {self._url} could not be renewed; another run may have taken it over.")
 
     def _take(self, wait_s: float) -> None:
         begun = seen_since = time.monotonic()
@@ -106,7 +107,7 @@ class Lease:
         while not self._over.wait(self._renew_s):
             try:
                 kept = self._put(IfMatch=self._tag) or self._is_ours()
-            except OSError as error:
+            except Exception as error:  # a store that is away has errors of many kinds, and none may end the keeper
                 logger().warning("the lock could not be renewed", root=self._url, error=repr(error))
                 kept = time.monotonic() - last < self._lease_s
             else:

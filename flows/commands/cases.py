@@ -48,11 +48,13 @@ def build(
 def _build_live(root: Path, area: str, ingested: Path) -> None:
     from flows.cases.live.build import ages
     from flows.cases.live.bundles import add_bundle, begin
+    from flows.root_lock import only_run
 
     now = now_utc()
-    if area:
-        begin(root, box_of(area), ingested, now)
-    case = add_bundle(root, now)
+    with only_run(root):  # not while a loop takes its inputs from here
+        if area:
+            begin(root, box_of(area), ingested, now)
+        case = add_bundle(root, now)
     print(f"{case.folder}\n{case.title}")
     table = Table("input", "", "age (h)", "source")
     for row in ages(case, now).itertuples():

@@ -24,11 +24,12 @@ def latency_budget(
 
     ``observed`` holds by mode the observations that went into this cycle's products: columns ``observed``,
     ``downlinked`` and ``ready`` (level-1 data), all UTC. ``contacts`` must reach beyond ``end``; a satellite without a
-    contact after the release is counted as not reached.
+    contact after the release is counted as not reached. ``observed_to_next_plan_h`` takes the median wait for that
+    contact; it is None where no satellite has one.
     """
     release = end + release_after
     waits = uplink_waits_h(contacts, release)
-    board_h = release_after / timedelta(hours=1) + (float(waits.median()) if len(waits.dropna()) else 0.0)
+    board_h = release_after / timedelta(hours=1) + float(waits.median())
     return {
         "products_at": end.isoformat(),
         "next_plan_released_at": release.isoformat(),

@@ -52,9 +52,7 @@ class Delivery:
     A context manager, so that half-written files are closed where a receiver fails.
     """
 
-    def __init__(
-        self, context: JobContext, access: Access, target_id: NDArray[np.int64], cell_rows: bool
-    ) -> None:
+    def __init__(self, context: JobContext, access: Access, target_id: NDArray[np.int64], cell_rows: bool) -> None:
         self.access, self.tally = access, Tally()
         self.targets = Revisits(access.target_count, access.horizon) if access.target_count else None
         self.cells = None if access.grid is None else Revisits(len(access.grid), access.horizon)

@@ -126,4 +126,3 @@ def first_looks(problem: PlanningProblem, images: IntArray) -> IntArray:
     first = np.full(len(problem.targets.value), problem.horizon_s, np.int64)
     np.minimum.at(first, own.target[entry], own.second[own.image_of_entry()[entry]])
     return np.where(first == problem.horizon_s, -1, first)
-

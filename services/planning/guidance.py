@@ -66,7 +66,8 @@ def exact_guidance(
                  for guide in (True, False)]  # fmt: skip
         guide, proof = (task.result() for task in tasks)
     bound = min(relaxation.bound, proof.bound)
-    return Guidance(relaxation, guide, bound, relaxation.time_limited or guide.time_limited)
+    cut = relaxation.time_limited or guide.time_limited or proof.time_limited
+    return Guidance(relaxation, guide, bound, cut)
 
 
 def _guard_s(left: Callable[[], float]) -> float:

@@ -6,6 +6,7 @@ import contextlib
 import posixpath
 import shutil
 import tempfile
+import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from shared.artifacts.roots import Location, Roots, is_local, local_path, open_r
 from shared.errors import SmokeglintError, TamperedArtifactError
 
 STAGING = ".staging"
+UPLOAD_PATIENCE_S = 3600.0
 
 
 class ArtifactStore:
@@ -52,7 +54,8 @@ class ArtifactStore:
             if reference.sha256:
                 _checked(reference, location.sha256())
             return location.local
-        if reference.sha256 and (kept := into / reference.sha256 / reference.name).exists():
+        kept = into / reference.sha256 / reference.name if reference.sha256 else into
+        if kept.is_file() and Location(fsspec.filesystem("file"), str(kept)).sha256() == reference.sha256:
             return kept
         into.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=into) as folder:
@@ -197,7 +200,11 @@ class ArtifactStore:
         self._fs.rm(posixpath.join(self._folder(address), MANIFEST))
 
     def sweep(self, owner: str, steps: Iterable[str]) -> int:
-        """Remove what a killed owner left: its staging folder, and folders of its steps without a manifest."""
+        """Remove what a killed owner left: its staging folder, and folders of its steps without a manifest.
+
+        Of a remote root only folders that nobody has written to for ``UPLOAD_PATIENCE_S``; staging folders lie in
+        this machine's temporary folder then, and are left to it.
+        """
         removed = 0
         staging = posixpath.join(self._root, STAGING, owner)
         if self._fs.exists(staging):
@@ -213,14 +220,16 @@ class ArtifactStore:
         if is_local(self.roots.artifact_root):
             folders = [f for step in steps for f in self._fs.glob(posixpath.join(self._root, "*", "*", step, "*"))]
             return [f for f in folders if self._fs.isdir(f) and not self._fs.exists(posixpath.join(f, MANIFEST))]
-        found: dict[str, bool] = {}  # one listing of everything: asking for each folder would take a request each
-        wanted = set(steps)
-        for path in self._fs.find(self._root):
+        kept: dict[str, bool] = {}  # one listing of everything: asking for each folder would take a request each
+        wanted, now = set(steps), time.time()
+        for path, facts in self._fs.find(self._root, detail=True).items():
             parts = path.removeprefix(self._root + "/").split("/")
             if len(parts) == 5 and parts[2] in wanted:
                 folder = posixpath.dirname(path)
-                found[folder] = found.get(folder, False) or parts[4] == MANIFEST
-        return [folder for folder, done in found.items() if not done]
+                # Another process, elsewhere perhaps, may be at the upload just now.
+                spare = parts[4] == MANIFEST or now - _written(facts) < UPLOAD_PATIENCE_S
+                kept[folder] = kept.get(folder, False) or spare
+        return [folder for folder, spare in kept.items() if not spare]
 
     def writable(self) -> bool:
         """Whether a file can be written and removed below the root."""

@@ -243,11 +243,15 @@ class JobRegister:
             return [_job(dict(row)) for row in connection.execute(query).mappings()]
 
 
+# Beside what cannot be reached: a server that only reads just now (a failover), and no free connection for 30 s.
+_AWAY = (sa.exc.OperationalError, sa.exc.InterfaceError, sa.exc.InternalError, sa.exc.TimeoutError)
+
+
 @contextlib.contextmanager
 def _reached() -> Iterator[None]:
     try:
         yield
-    except (sa.exc.OperationalError, sa.exc.InterfaceError) as error:
+    except _AWAY as error:
         raise UnavailableError("The job register cannot be reached or written just now; try again.") from error
 
 

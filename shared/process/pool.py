@@ -122,7 +122,7 @@ class _Slot(threading.Thread):
         self.ready = False
 
     def run(self) -> None:
-        self._ensure_worker()
+        self._renew_worker()
         while (job := self._pool._take()) is not None and not self._stopping:
             correlation_id.set(job.correlation_id)
             try:
@@ -130,10 +130,22 @@ class _Slot(threading.Thread):
             except Exception as error:  # whatever it is must not end the slot, which no one restarts
                 logger().error("job lost by its slot", process=job.process, job=job.id, error=repr(error))
                 self._abandon_worker()
+                with contextlib.suppress(Exception):
+                    told = problem(500, "about:blank", "The job was lost", "The service met a fault of its own.")
+                    self._pool._jobs.update(job.id, "failed", problem=told)
             finally:
                 self._pool._finish(job.id)
-            if not self._stopping:
-                self._ensure_worker()  # a killed one is replaced before the next job asks for it
+            self._renew_worker()  # a killed one is replaced before the next job asks for it
+
+    def _renew_worker(self) -> None:
+        """See that there is a worker, however often it takes: without memory for one just now there is some later."""
+        while not self._stopping:
+            try:
+                self._ensure_worker()
+                return
+            except Exception as error:
+                logger().error("no worker could be started", error=repr(error))
+                time.sleep(_REGISTER_PAUSE_S)
 
     def _serve(self, job: Job) -> None:
         if not self._record(job, "running"):

@@ -53,7 +53,8 @@ def read_frame(root: Path) -> Frame:
 
 
 def begin(root: Path, area: Box, ingested: Path, now: datetime) -> Frame:
-    """The frame of a new live case, or that of the present one where the box is the same; another box starts afresh.
+    """The frame of a new live case, or that of the present one where the box is the same; another box starts afresh,
+    and the case of the former one is put aside.
 
     Its first cut-off is the minute that has begun.
     """
@@ -61,7 +62,8 @@ def begin(root: Path, area: Box, ingested: Path, now: datetime) -> Frame:
     if (folder / FRAME_FILE).is_file() and read_frame(root).area == area:
         frame = replace(read_frame(root), ingested=ingested.resolve())
     else:
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder.exists():  # what was planned on it can still be looked up
+            folder.rename(folder.with_name(f"{NAME}-until-{utc_minute(now):%Y%m%dT%H%M%SZ}"))
         frame = Frame(area, ingested.resolve(), utc_minute(now))
     folder.mkdir(parents=True, exist_ok=True)
     told = {"area": list(frame.area), "ingested": str(frame.ingested), "first_cutoff": iso(frame.first_cutoff)}
@@ -95,12 +97,12 @@ def read_live(root: Path) -> Case:
 
     A cycle of which no bundle was made goes on with the one before it, so with older data.
     """
-    frame = read_frame(root)
+    read_frame(root)  # without one it says how to begin
     made = sorted(path.parent for path in live_folder(root).glob(f"2*/{CASE_FILE}"))
     if not made:
         raise MissingArtifactError("The live case has no bundle yet: 'smokeglint case build live'.", field="case")
-    newest = read_case(made[-1])
-    cycles = (newest.first_cutoff - frame.first_cutoff) // timedelta(hours=CYCLE_HOURS) + 1
-    cutoffs = [frame.first_cutoff + number * timedelta(hours=CYCLE_HOURS) for number in range(cycles)]
+    newest, first = read_case(made[-1]), read_case(made[0]).first_cutoff  # later than the frame's if that build failed
+    cycles = (newest.first_cutoff - first) // timedelta(hours=CYCLE_HOURS) + 1
+    cutoffs = [first + number * timedelta(hours=CYCLE_HOURS) for number in range(cycles)]
     bundles = tuple(max(path for path in made if path.name <= cycle_label(cutoff)) for cutoff in cutoffs)
-    return replace(newest, first_cutoff=frame.first_cutoff, cycles=cycles, bundles=bundles)
+    return replace(newest, first_cutoff=first, cycles=cycles, bundles=bundles)

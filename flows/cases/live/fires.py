@@ -30,15 +30,21 @@ def incidents_of(files: list[Path], area: Box, cutoff: datetime) -> pd.DataFrame
     cut-off from the time of its record's making on, with no area. Without place or time of discovery it is left out.
     """
     rows: dict[str, dict[str, Any]] = {}
+    out_at: dict[str, pd.Timestamp] = {}  # said to be out: an earlier page may still have it burning
     for path in files:
         for feature in json.loads(path.read_text(encoding="utf-8"))["features"]:
+            told = feature.get("properties") or {}
+            changed = _time(told.get("ModifiedOnDateTime_dt"))
+            if told.get("FireOutDateTime") and changed is not None and changed <= pd.Timestamp(cutoff):
+                out_at[_name(told)] = max(changed, out_at.get(_name(told), changed))
             row = _incident(feature, pd.Timestamp(cutoff))
             if row is None or row["known_at"] > pd.Timestamp(cutoff) or row["start"] > row["known_at"]:
                 continue
             before = rows.get(row["incident_id"])
             if before is None or row["known_at"] > before["known_at"]:
                 rows[row["incident_id"]] = row
-    table = pd.DataFrame([rows[name] for name in sorted(rows)], columns=INCIDENT_COLUMNS)
+    burning = [rows[name] for name in sorted(rows) if name not in out_at or rows[name]["known_at"] > out_at[name]]
+    table = pd.DataFrame(burning, columns=INCIDENT_COLUMNS)
     times = dict.fromkeys(("start", "known_at"), "datetime64[ms, UTC]")
     table = table.astype(times | dict.fromkeys(("area_km2", "longitude_deg", "latitude_deg"), "float64"))
     west, south, east, north = area
@@ -46,11 +52,15 @@ def incidents_of(files: list[Path], area: Box, cutoff: datetime) -> pd.DataFrame
     return table[inside].reset_index(drop=True)
 
 
+def _name(told: dict[str, Any]) -> str:
+    return str(told.get("UniqueFireIdentifier") or told.get("IrwinID") or "").strip("{}")
+
+
 def _incident(feature: dict[str, Any], cutoff: pd.Timestamp) -> dict[str, Any] | None:
     told, shape = feature.get("properties") or {}, feature.get("geometry") or {}
     place = shape.get("coordinates") if shape.get("type") == "Point" else None
     started, changed = _time(told.get("FireDiscoveryDateTime")), _time(told.get("ModifiedOnDateTime_dt"))
-    name = str(told.get("UniqueFireIdentifier") or told.get("IrwinID") or "").strip("{}")
+    name = _name(told)
     prescribed = str(told.get("IncidentTypeCategory") or "WF").upper() == "RX"
     if not place or not name or started is None or changed is None or prescribed or told.get("FireOutDateTime"):
         return None

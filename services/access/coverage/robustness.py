@@ -110,9 +110,7 @@ def shifted_points(
     )
     normal = -axes[:, 1]
     turned = cosine * inertial + sine * np.cross(normal, inertial)
-    earth_fixed = turned - EARTH_ROTATION_RAD_S * np.stack(
-        [-moved[:, 1], moved[:, 0], np.zeros(len(moved))], axis=-1
-    )
+    earth_fixed = turned - EARTH_ROTATION_RAD_S * np.stack([-moved[:, 1], moved[:, 0], np.zeros(len(moved))], axis=-1)
     found = specular_points(moved, geometry.transmitter[0], selection.surface_height_m, track.position_m)
     usable = (found.status == SOLVED) & (found.incidence_deg <= selection.max_incidence_deg)
     gain = np.full(len(moved), selection.antennas.floor_dbi)

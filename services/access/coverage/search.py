@@ -240,8 +240,16 @@ def _tangent(point: Array, east: Array, north: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def _covers(
-    chord: float, square: float, dx: float, dy: float, dz: float,
-    shape: Array, east: Array, north: Array, edges: Array, k: int,
+    chord: float,
+    square: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    shape: Array,
+    east: Array,
+    north: Array,
+    edges: Array,
+    k: int,
 ) -> bool:
     """Within the radius, or touched by the footprint: in axes that make the Fresnel zone a unit circle."""
     if chord >= 0.0:

@@ -127,5 +127,3 @@ def write_kml(
 
 def _time(problem: PlanningProblem, second: int) -> str:
     return f"{problem.horizon_start + pd.Timedelta(seconds=second):%Y-%m-%dT%H:%M:%SZ}"
-
-

@@ -49,8 +49,13 @@ def write_gantt(
         colour = STATION_COLOURS[station % len(STATION_COLOURS)]
         handles.append(Patch(color=colour, label=f"downlink {name}"))
     axes.legend(
-        handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.25 / (1.9 + 0.62 * max(1, count))), ncol=9,
-        frameon=False, bbox_transform=figure.transFigure, fontsize=9,
+        handles=handles,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.25 / (1.9 + 0.62 * max(1, count))),
+        ncol=9,
+        frameon=False,
+        bbox_transform=figure.transFigure,
+        fontsize=9,
     )
     height = 1.9 + 0.62 * max(1, count)
     figure.subplots_adjust(left=0.08, right=0.985, top=1 - 0.45 / height, bottom=1.15 / height)

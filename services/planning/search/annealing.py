@@ -1,7 +1,8 @@
 """Simulated annealing over image sets by heat-bath moves: seeded searches side by side that share their best state.
 
 All work is counted in moves and the random streams are fixed xorshifts, so that equal inputs give equal plans on every
-machine, however many cores it has and however busy they are.
+machine, however many cores it has and however busy they are, unless the time guard cut or hurried them
+(``time_limited``).
 """
 
 from __future__ import annotations

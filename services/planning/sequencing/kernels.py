@@ -242,9 +242,13 @@ def anneal_blocks(
         fits = gain >= 0 or draw(state) < np.exp(gain / warmth)
         if fits:
             fits = commands[s, day[gone[0]]] <= budget[s, day[gone[0]]] or gone[1] == gone[0]
-            fits = fits and (came[1] == came[0] or (
-                commands[s, day[came[0]]] <= budget[s, day[came[0]]]
-                and commands[s, day[came[1] - 1]] <= budget[s, day[came[1] - 1]]))
+            fits = fits and (
+                came[1] == came[0]
+                or (
+                    commands[s, day[came[0]]] <= budget[s, day[came[0]]]
+                    and commands[s, day[came[1] - 1]] <= budget[s, day[came[1] - 1]]
+                )
+            )
         if fits and least > 1:
             fits = long_enough(rec, frozen, s, gone[0] - 1, least) and long_enough(rec, frozen, s, gone[1], least)
             fits = fits and (came[1] == came[0] or long_enough(rec, frozen, s, came[0], least))

@@ -258,5 +258,3 @@ def _frozen_starts(problem: PlanningProblem, s: int) -> dict[pd.Timestamp, int]:
         day = (problem.horizon_start + pd.Timedelta(seconds=t)).floor("D")
         counts[day] = counts.get(day, 0) + 1
     return counts
-
-

@@ -141,6 +141,17 @@ def test_a_fire_without_place_or_discovery_is_left_out(tmp_path: Path) -> None:
     ).empty  # changed later, and nobody says when it was made
 
 
+def test_a_fire_that_is_out_does_not_come_back_from_an_older_page(tmp_path: Path) -> None:
+    burning, out = incident("A", 10.0), incident("A", 3.0)
+    out["properties"]["FireOutDateTime"] = out["properties"]["ModifiedOnDateTime_dt"]
+    pages = []
+    for name, feature in (("today", out), ("yesterday", burning)):
+        pages.append(tmp_path / f"{name}.geojson")
+        pages[-1].write_bytes(collection([feature]))
+    assert len(incidents_of(pages[1:], AREA, NOW)) == 1
+    assert incidents_of(pages, AREA, NOW).empty
+
+
 def test_the_shell_builds_it_and_says_what_it_is_made_of(
     ingested: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

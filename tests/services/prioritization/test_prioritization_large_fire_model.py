@@ -147,9 +147,7 @@ def test_one_to_two_counts_are_those_of_a_balanced_sample(trained):
     small = np.flatnonzero(y == 0)
     drawn = [
         skill.mcc(y[i], called[i])
-        for i in (
-            np.append(np.flatnonzero(y), rng.choice(small, int(2 * y.sum()), replace=False)) for _ in range(30)
-        )
+        for i in (np.append(np.flatnonzero(y), rng.choice(small, int(2 * y.sum()), replace=False)) for _ in range(30))
     ]
     assert skill.mcc(y, called, weight) == pytest.approx(np.mean(drawn), abs=0.01)
 
