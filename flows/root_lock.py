@@ -114,7 +114,8 @@ class Lease:
                 last = time.monotonic()
             if not kept:
                 self._lost = True
-                _thread.interrupt_main()
+                if not self._over.is_set():  # else the work is done, and ``held`` tells of it
+                    _thread.interrupt_main()
                 return
 
     def _put(self, **condition: str) -> bool:

@@ -79,7 +79,8 @@ def _tangents(worth: _Worth, curvature: float) -> tuple[sparse.csr_array, FloatA
     rows, columns, values, height = [], [], [], []
     count = len(worth.chunk)
     for k, prefix in enumerate(worth.prefix):
-        centre, most = int(worth.relaxed[k]), len(prefix) - 1
+        most = len(prefix) - 1
+        centre = int(np.clip(worth.relaxed[k], 0, most))  # an interior point that was cut may lie outside its bounds
         near = range(centre - NEAR, centre + NEAR + 1)
         far = (centre // 2, centre - 4 * NEAR, centre - 2 * NEAR, centre + 2 * NEAR, centre + 4 * NEAR, most - 1)
         points = np.array(sorted({int(worth.forced[k]), *near, *far}))
