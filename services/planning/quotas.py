@@ -71,6 +71,8 @@ def _worth(model: DataCycleModel, chunks: Chunks, coverage: Coverage, relaxation
         forced.append(len(held))
     relaxed = np.bincount(chunk_of, relaxation.images, minlength=len(chunks))[used]
     total = float(constant.sum()) + BOUND_MARGIN * max(1.0, float(np.abs(constant).sum()))
+    # An interior point that was cut may lie outside its bounds.
+    relaxed = np.clip(relaxed, 0, [len(sums) - 1 for sums in prefix])
     return _Worth(used, column, prefix, np.array(forced, np.int64), relaxed, total)
 
 
@@ -80,7 +82,7 @@ def _tangents(worth: _Worth, curvature: float) -> tuple[sparse.csr_array, FloatA
     count = len(worth.chunk)
     for k, prefix in enumerate(worth.prefix):
         most = len(prefix) - 1
-        centre = int(np.clip(worth.relaxed[k], 0, most))  # an interior point that was cut may lie outside its bounds
+        centre = int(worth.relaxed[k])
         near = range(centre - NEAR, centre + NEAR + 1)
         far = (centre // 2, centre - 4 * NEAR, centre - 2 * NEAR, centre + 2 * NEAR, centre + 4 * NEAR, most - 1)
         points = np.array(sorted({int(worth.forced[k]), *near, *far}))
