@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from shared.artifacts.disk import to_disk
 from shared.artifacts.reference import ArtifactRef
 from shared.artifacts.roots import Roots, is_local, local_path, open_root
 from shared.artifacts.store import ArtifactStore
@@ -71,11 +72,10 @@ def keep_document(root: ArtifactRoot, path: str, content: bytes) -> None:
     target = Path(url) / path
     target.parent.mkdir(parents=True, exist_ok=True)
     fresh = target.with_suffix(".tmp")
-    with open(fresh, "wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
+    fresh.write_bytes(content)
+    to_disk(fresh)
     fresh.rename(target)
+    to_disk(target.parent)
 
 
 def documents(root: ArtifactRoot, folder: str, suffix: str) -> list[tuple[str, bytes]]:
