@@ -96,6 +96,7 @@ def test_precise_orbits_are_final_then_rapid(tmp_path: Path, client: httpx.Clien
         (LOGIN_PAGE, "web page"),
         (b"", "no SP3 file"),
     ],
+    ids=["no end line", "cut packing", "login page", "empty"],  # gzip's own bytes hold the second they were packed in
 )
 def test_what_is_no_orbit_file_is_called_so(content: bytes, reason: str) -> None:
     with pytest.raises(ProviderError, match=reason):
