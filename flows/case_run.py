@@ -90,51 +90,64 @@ def run_case(
     """
     stale = conductor.close_stale_runs()
     run = _CaseRun(conductor, case, store, urls, display, profile, desk, now, [])
-    settings = profile.settings
-    inputs = run.carry_out(BUNDLE, lambda runner: import_into_store(runner, first_bundle(case)))
-    inputs = run.carry_out(
-        CALIBRATION,
-        lambda runner: calibrate(runner, inputs, profile.calibration_days, profile.calibration_step_s, settings.seed),
-    )
-    done: list[CycleProducts] = []
-    before = Handover()
-    paused: CyclePaused | None = None
-    for number in numbers:
-        label = cycle_label(_cutoff(case, number, settings))
-        if case.bundles:
-            inputs = run.carry_out(
-                f"{BUNDLE}-{label}", partial(inputs_of_cycle, case=case, first=inputs, number=number)
-            )
-        last = _cycle(run, inputs, number, before, feedback, label)
-        if isinstance(last, CyclePaused):
-            paused = last
-            break
-        done.append(last)
-        if number != numbers[-1]:
-            before = last.handover
+    inputs, done, paused = _cycles(run, feedback, numbers)
     if not done:
         return CaseResult([], {}, [], [], stale, paused)
-    again_plain = again_plain and paused is None
-    changes: Mapping[str, Any] = {}
-    if again_plain and len(numbers) > 1:
-        without = replace(run, desk=NobodyDecides())
-        plain = _cycle(without, inputs, numbers[-1], before, frozenset(), f"{done[-1].label}-{PLAIN}")
-        assert isinstance(plain, CycleProducts)
-        changes = compare_cycles(store, done[-1].steps, plain.steps)
+    compared = again_plain and paused is None and len(numbers) > 1
+    changes = _change_by_feedback(run, inputs, numbers[-1], done) if compared else {}
     # Detections simulated over the perimeters would score themselves.
     seen = not case.provenance["detections"].simulated
     perimeters = _perimeter_scores(run, inputs) if seen and "perimeters" in inputs.inputs else []
     rows: Mapping[str, Any] = {}
     if PUBLISHED_ROWS in inputs.inputs:  # plans of their own: no step of the cycle, whose plan is the one on board
         rows = run.carry_out(ROWS, lambda runner: plan_rows(runner, inputs, done[-1]))
-    times = _times(case, done[-1], [_cutoff(case, number, settings) for number in numbers])
+    times = _times(case, done[-1], [_cutoff(case, number, profile.settings) for number in numbers])
     catalogue = write_catalogue(store, root, case.name, case.title, case.region, times, run.made)
+    shown = [*_pictures(done, perimeters, rows), catalogue]
+    return CaseResult(done, changes, perimeters, shown, stale, paused, rows.get("rows", []))
+
+
+def _cycles(
+    run: _CaseRun, feedback: frozenset[str], numbers: Sequence[int]
+) -> tuple[CaseInputs, list[CycleProducts], CyclePaused | None]:
+    """The cycles of these numbers as far as they go: the last one's inputs, what is finished, and where it ended."""
+    case, profile = run.case, run.profile
+    calibration = (profile.calibration_days, profile.calibration_step_s, profile.settings.seed)
+    imported = run.carry_out(BUNDLE, lambda runner: import_into_store(runner, first_bundle(case)))
+    inputs = run.carry_out(CALIBRATION, lambda runner: calibrate(runner, imported, *calibration))
+    done: list[CycleProducts] = []
+    for number in numbers:
+        label = cycle_label(_cutoff(case, number, profile.settings))
+        if case.bundles:
+            own = partial(inputs_of_cycle, case=case, first=inputs, number=number)
+            inputs = run.carry_out(f"{BUNDLE}-{label}", own)
+        last = _cycle(run, inputs, number, done[-1].handover if done else Handover(), feedback, label)
+        if isinstance(last, CyclePaused):
+            return inputs, done, last
+        done.append(last)
+    return inputs, done, None
+
+
+def _change_by_feedback(
+    run: _CaseRun, inputs: CaseInputs, number: int, done: Sequence[CycleProducts]
+) -> Mapping[str, Any]:
+    """The last cycle run again without feedback and without people's decisions, and what is different."""
+    before = done[-2].handover if len(done) > 1 else Handover()
+    without = replace(run, desk=NobodyDecides())
+    plain = _cycle(without, inputs, number, before, frozenset(), f"{done[-1].label}-{PLAIN}")
+    assert isinstance(plain, CycleProducts)
+    return compare_cycles(run.store, done[-1].steps, plain.steps)
+
+
+def _pictures(
+    done: Sequence[CycleProducts], perimeters: Sequence[Mapping[str, Any]], rows: Mapping[str, Any]
+) -> list[str]:
+    """What a person looks at first: each cycle's situation, the last arrival maps, the maps of a published day."""
     last_maps = [perimeters[-1]["map"]] if perimeters else done[-1].steps["infer-fire-arrival"]["maps"]
     maps = [*(cycle.steps["situation"]["map"] for cycle in done), *last_maps]
     if rows:
         maps += [done[-1].steps["priority-map"]["map"], rows["table"]]
-    shown = [_place(str(reference["href"])) for reference in maps]
-    return CaseResult(done, changes, perimeters, [*shown, catalogue], stale, paused, rows.get("rows", []))
+    return [_place(str(reference["href"])) for reference in maps]
 
 
 def _place(href: str) -> str:

@@ -57,16 +57,18 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
     earlier = _read_or_empty(context, inputs.previous_as_run, "AS_RUN")
     carried = earlier[earlier["status"] == "collected"]
     contacts = context.read_table(inputs.contacts, "CONTACTS")
+    eclipses = context.read_table(inputs.eclipses, "ECLIPSES")
+    points = context.read_table(inputs.specular_points, "SPECULAR_POINTS")
     done = execute_schedule(
         context.read_table(inputs.schedule, "SCHEDULE"),
         carried,
-        context.read_table(inputs.eclipses, "ECLIPSES"),
+        eclipses,
         spacecraft,
         inputs.duration_s,
         inputs.loss_share,
-        set(contacts["satellite"]),
+        # A satellite that no station sees all day has no contact, but it flies.
+        set(contacts["satellite"]) | set(eclipses["satellite"]) | set(points["satellite"]),
     )
-    points = context.read_table(inputs.specular_points, "SPECULAR_POINTS")
     points = points[points["time"] < end]
     if inputs.pending_points is not None:
         points = pd.concat([context.read_table(inputs.pending_points, "SPECULAR_POINTS"), points], ignore_index=True)
@@ -74,6 +76,7 @@ def execute(inputs: ExecuteInputs, context: JobContext) -> ExecuteOutputs:
     budget = latency_budget(
         _delivered(done.as_run, sorted_points, inputs.level1_latency_s),
         contacts,
+        done.states,
         end,
         timedelta(seconds=inputs.release_after_s),
     )

@@ -8,9 +8,11 @@ takes is not in here: it depends on the machine, and is told by ``flows.timings`
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import timedelta
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 TIMES = ("observed", "downlinked", "ready")
@@ -18,18 +20,23 @@ PAPER_H = 30.0  # the upper end of the paper's 6 to 30 h from observation to pro
 
 
 def latency_budget(
-    observed: dict[str, pd.DataFrame], contacts: pd.DataFrame, end: pd.Timestamp, release_after: timedelta
+    observed: dict[str, pd.DataFrame],
+    contacts: pd.DataFrame,
+    satellites: Iterable[str],
+    end: pd.Timestamp,
+    release_after: timedelta,
 ) -> dict[str, Any]:
     """Hours of each step, for each mode.
 
     ``observed`` holds by mode the observations that went into this cycle's products: columns ``observed``,
-    ``downlinked`` and ``ready`` (level-1 data), all UTC. ``contacts`` must reach beyond ``end``; a satellite without a
-    contact after the release is counted as not reached. ``observed_to_next_plan_h`` takes the median wait for that
-    contact; it is None where no satellite has one.
+    ``downlinked`` and ``ready`` (level-1 data), all UTC. ``contacts`` must reach beyond ``end``; one of ``satellites``
+    without a contact after the release is counted as not reached. ``observed_to_next_plan_h`` is of every pair of an
+    observation and a satellite that is reached: each observation enters the plan of each of them. It is None where
+    none is.
     """
     release = end + release_after
-    waits = uplink_waits_h(contacts, release)
-    board_h = release_after / timedelta(hours=1) + float(waits.median())
+    waits = uplink_waits_h(contacts, satellites, release)
+    board_h = release_after / timedelta(hours=1) + waits.dropna()
     return {
         "products_at": end.isoformat(),
         "next_plan_released_at": release.isoformat(),
@@ -39,25 +46,26 @@ def latency_budget(
     }
 
 
-def _budget(given: pd.DataFrame, end: pd.Timestamp, board_h: float) -> dict[str, Any]:
+def _budget(given: pd.DataFrame, end: pd.Timestamp, board_h: pd.Series[float]) -> dict[str, Any]:
     # Columns without rows may come without a time zone.
     table = pd.DataFrame({name: pd.to_datetime(given[name], utc=True) for name in TIMES})
     product_h = hours(end - table["observed"])
+    aboard_h = np.add.outer(product_h.to_numpy(), board_h.to_numpy()).ravel()
     return {
         "observations": len(table),
         "observed_to_downlinked_h": spread(hours(table["downlinked"] - table["observed"])),
         "downlinked_to_level1_h": spread(hours(table["ready"] - table["downlinked"])),
         "level1_to_product_h": spread(hours(end - table["ready"])),
         "observed_to_product_h": spread(product_h),
-        "observed_to_next_plan_h": spread(product_h + board_h),
+        "observed_to_next_plan_h": spread(pd.Series(aboard_h)),
         "share_within_30_h": round(float((product_h <= PAPER_H).mean()), 4) if len(table) else None,
     }
 
 
-def uplink_waits_h(contacts: pd.DataFrame, release: pd.Timestamp) -> pd.Series[float]:
+def uplink_waits_h(contacts: pd.DataFrame, satellites: Iterable[str], release: pd.Timestamp) -> pd.Series[float]:
     """Hours from release to each satellite's first contact after it; NaN where there is none."""
     following = contacts[contacts["start"] >= release].groupby("satellite")["start"].min()
-    return hours(following.reindex(sorted(contacts["satellite"].unique())) - release)
+    return hours(following.reindex(sorted(satellites)) - release)
 
 
 def hours(spans: Any) -> Any:

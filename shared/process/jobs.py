@@ -90,7 +90,8 @@ class JobRegister:
 
     Every method raises UnavailableError while the database cannot be reached or written. A database that comes up
     after its service is waited for. ``schema`` names the tables' schema on PostgreSQL, so that services can share one
-    database; SQLite has none.
+    database; SQLite has none. ``readers_never_wait`` tells of a SQLite file with a write-ahead log, which can be read
+    while another writes.
     """
 
     def __init__(self, url: str, wait_s: float = _START_WAIT_S, schema: str = "") -> None:
@@ -101,6 +102,7 @@ class JobRegister:
         self._schema = schema if url.startswith("postgresql") and schema else None
         engine = sa.create_engine(url, **options)
         self._engine = engine.execution_options(schema_translate_map={None: self._schema}) if self._schema else engine
+        self.readers_never_wait = False
         self._await(wait_s)
 
     def _await(self, wait_s: float) -> None:
@@ -118,12 +120,18 @@ class JobRegister:
 
     def _prepare(self) -> None:
         with _reached():
+            self.readers_never_wait = self._engine.dialect.name == "sqlite" and self._write_ahead() == "wal"
             if self._schema:
                 with self._engine.begin() as connection:
                     connection.execute(sa.schema.CreateSchema(self._schema, if_not_exists=True))
             if _outdated(self._engine, self._schema):
                 _metadata.drop_all(self._engine)  # a release with other columns; the register holds no work
             _metadata.create_all(self._engine)
+
+    def _write_ahead(self) -> str:
+        """Ask SQLite for a write-ahead log; the mode it is in then. Not every file system has what that takes."""
+        with self._engine.connect() as connection:
+            return str(connection.exec_driver_sql("PRAGMA journal_mode=WAL").scalar_one())
 
     @contextlib.contextmanager
     def _changing(self) -> Iterator[sa.Connection]:

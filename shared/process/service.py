@@ -52,9 +52,8 @@ class Service:
         self._version = execution.service_code_version(module)
         self.metrics = ServiceMetrics(name)
         self.store = ArtifactStore(settings.roots)
-        database = settings.database_url(name)
-        self.jobs = JobRegister(database, settings.wait_s, schema=name)
-        self.on_this_machine = database.startswith("sqlite") and is_local(settings.artifact_root)
+        self.jobs = JobRegister(settings.database_url(name), settings.wait_s, schema=name)
+        self.answers_at_once = self.jobs.readers_never_wait and is_local(settings.artifact_root)
         self.pool = WorkerPool(
             name, module, settings, self.jobs, self.metrics, lambda job_id: self.store.discard(name, job_id)
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -48,6 +50,19 @@ def test_an_unknown_job_is_named(register: JobRegister) -> None:
         register.get("none-such")
     assert (caught.value.kind, caught.value.identifier) == ("job", "none-such")
     assert not register.update("none-such", "running")
+
+
+def test_reading_does_not_wait_for_a_writer(register: JobRegister, url: str) -> None:
+    job = submit(register)
+    with contextlib.closing(sqlite3.connect(url.removeprefix("sqlite:///"), isolation_level=None)) as writer:
+        writer.execute("BEGIN EXCLUSIVE")
+        assert register.readers_never_wait and register.get(job.id) == job  # without the log: 30 s, then an error
+
+
+def test_a_database_without_a_write_ahead_log_is_told() -> None:
+    register = JobRegister("sqlite://")  # in memory there is none, as on file systems that cannot share memory
+    assert not register.readers_never_wait
+    register.close()
 
 
 def test_jobs_are_listed_newest_first(register: JobRegister) -> None:

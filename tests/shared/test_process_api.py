@@ -8,14 +8,17 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import anyio
 import pytest
 from fastapi.testclient import TestClient
 
 from shared.contracts import tables
 from shared.contracts.schema import read_attributes, read_table
 from shared.errors import UnavailableError
+from shared.process import routes
 
 EXECUTE = "/processes/scale-targets/execution"
 
@@ -292,3 +295,13 @@ def test_the_correlation_id_is_kept_or_made(toy: TestClient) -> None:
 def test_a_large_body_is_refused(toy: TestClient) -> None:
     answer = toy.post(EXECUTE, content=b'{"inputs": {"x": "' + b"a" * 1_100_000 + b'"}}')
     assert answer.status_code == 413
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_register_that_may_wait_is_asked_in_a_thread(toy: TestClient, at_once: bool) -> None:
+    async def where() -> bool:
+        service: Any = SimpleNamespace(answers_at_once=at_once)
+        return await routes._read(service, lambda _: threading.get_ident()) == threading.get_ident()
+
+    assert anyio.run(where) == at_once
+    assert toy.app.state.service.answers_at_once  # type: ignore[attr-defined]

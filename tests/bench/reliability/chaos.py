@@ -29,7 +29,7 @@ from typing import Any
 from flows.runner import flow_code_version
 from flows.services import SERVICES
 from tests.bench.reliability import traces
-from tests.bench.reliability.supervision import REPOSITORY, Platform
+from tests.bench.reliability.supervision import REPOSITORY, Platform, Supervisor
 
 OWNERS = {
     "predict-access": "access",
@@ -187,18 +187,23 @@ def trial(root: Path, number: int, kills: list[Kill], reference: Reference) -> d
 def strike(platform: Platform, flow: subprocess.Popen[bytes], kill: Kill) -> dict[str, Any]:
     """Kill at the moment; what was killed, and whether any step folder was half-written just then."""
     time.sleep(kill.after_s)
+    name, pid = victim(platform.supervisor, flow, kill)
+    os.kill(pid, signal.SIGKILL)
+    _, part, step, _ = kill.step.split("/")
+    return {"killed": name, "cycle": part, "step": step, "half_written": traces.half_written(platform.root)}
+
+
+def victim(running: Supervisor, flow: subprocess.Popen[bytes], kill: Kill) -> tuple[str, int]:
+    """Name and process of what is to be killed, as it is now."""
+    if kill.target == "flow":
+        return "flow", flow.pid
+    if kill.target not in ("service", "worker"):
+        return kill.target, running.pid(kill.target)
     _, part, step, _ = kill.step.split("/")
     service = OWNERS.get(step, SERVICES[len(part + step) % len(SERVICES)])
-    running = platform.supervisor
-    name, pid = f"{service}-worker", running.worker_of(service) if kill.target == "worker" else None
-    if kill.target == "flow":
-        name, pid = "flow", flow.pid
-    elif kill.target not in ("service", "worker"):
-        name, pid = kill.target, running.pid(kill.target)
-    elif pid is None:  # a service, or one whose worker is not up just now
-        name, pid = f"{service}-service", running.pid(service)
-    os.kill(pid, signal.SIGKILL)
-    return {"killed": name, "cycle": part, "step": step, "half_written": traces.half_written(platform.root)}
+    pid = running.worker_of(service) if kill.target == "worker" else None
+    # A service, or one whose worker is not up just now.
+    return (f"{service}-worker", pid) if pid is not None else (f"{service}-service", running.pid(service))
 
 
 def _left(platform: Platform, reference: Reference) -> dict[str, Any]:

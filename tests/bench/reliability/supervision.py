@@ -159,7 +159,7 @@ class Platform:
 
 
 def service_process(
-    name: str, root: Path, port: int, environment: Mapping[str, str] | None = None
+    name: str, root: Path | str, port: int, environment: Mapping[str, str] | None = None
 ) -> tuple[list[str], dict[str, str]]:
     """The command and environment of a service on a port, over an artifact root."""
     prefix = f"SMOKEGLINT_{name.upper()}_"

@@ -30,7 +30,7 @@ def contacts(*rows: tuple[str, float]) -> pd.DataFrame:
 def test_each_step_is_what_a_clock_says() -> None:
     seen = {"raw-if": observations((1, 3, 3), (20, 23, 23), (-8, 1, 1)), "nominal": observations((0, 2, 4))}
     passes = contacts(("A", 10), ("A", 24.5), ("A", 26), ("B", 29), ("C", 5))
-    told = latency_budget(seen, passes, at(24), timedelta(hours=1))
+    told = latency_budget(seen, passes, "ABCD", at(24), timedelta(hours=1))
     raw_if, nominal = told["modes"]["raw-if"], told["modes"]["nominal"]
     assert raw_if["observed_to_downlinked_h"] == {"median": 3.0, "p95": 8.4, "longest": 9.0}
     assert raw_if["observed_to_product_h"]["longest"] == 32.0 and raw_if["share_within_30_h"] == 0.6667
@@ -40,17 +40,21 @@ def test_each_step_is_what_a_clock_says() -> None:
         "downlinked_to_level1_h": 2.0,
         "level1_to_product_h": 20.0,
         "observed_to_product_h": 24.0,
-        "observed_to_next_plan_h": 24.0 + 1.0 + 2.5,  # A is reached 1 h after the release, B 4 h, C never
+        "observed_to_next_plan_h": 24.0 + 1.0 + 2.5,  # A is reached 1 h after the release, B 4 h
     }
+    assert nominal["observed_to_next_plan_h"]["longest"] == 24.0 + 1.0 + 4.0
+    # Six pairs of three images (32, 23 and 4 h before the products) and two satellites (2 and 5 h after them).
+    assert raw_if["observed_to_next_plan_h"] == {"median": 26.5, "p95": 36.25, "longest": 37.0}
     assert told["next_plan"]["to_uplink_h"] == {"median": 2.5, "p95": 3.85, "longest": 4.0}
-    assert told["satellites_not_reached"] == 1
+    assert told["satellites_not_reached"] == 2  # C has no contact after the release, D none at all
 
 
 @pytest.mark.parametrize("dtype", ["datetime64[ms, UTC]", "datetime64[ns]", "object"])
 def test_a_cycle_that_brought_nothing_down_has_no_hours(dtype: str) -> None:
     nothing = observations().assign(downlinked=pd.Series([], dtype=dtype), ready=pd.Series([], dtype=dtype))
-    told = latency_budget({"raw-if": nothing}, contacts(("A", 1)), at(24), timedelta(hours=1))
+    told = latency_budget({"raw-if": nothing}, contacts(("A", 1)), ["A"], at(24), timedelta(hours=1))
     raw_if = told["modes"]["raw-if"]
+    assert raw_if["observed_to_next_plan_h"] == {"median": None, "p95": None, "longest": None}
     assert (raw_if["observations"], raw_if["share_within_30_h"]) == (0, None)
     assert raw_if["observed_to_product_h"] == {"median": None, "p95": None, "longest": None}
 
