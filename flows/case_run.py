@@ -10,13 +10,13 @@ from typing import Any
 
 import pandas as pd
 
-from flows.case_store import BUNDLE, CALIBRATION, calibrate, first_bundle, import_into_store, inputs_of_cycle
+from flows.case_store import CALIBRATION, calibrate, first_bundle, import_into_store, inputs_of_cycle
 from flows.cases.bundle import Case
 from flows.catalogue import write_catalogue
 from flows.comparison import compare_cycles, read_reference
 from flows.desk.approval import CyclePaused, Desk, NobodyDecides
 from flows.loop import run_cycle
-from flows.loop_types import CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
+from flows.loop_types import BUNDLE, CaseInputs, CycleProducts, Handover, LoopSettings, cycle_label
 from flows.profiles import Profile
 from flows.published_day import PUBLISHED_ROWS, ROWS, map_priorities, plan_rows
 from flows.root import ArtifactRoot

@@ -10,7 +10,6 @@ from flows.loop_types import CaseInputs
 from flows.runner import Runner
 from flows.steps import IMPORT_CASE
 
-BUNDLE = "bundle"
 CALIBRATION = "calibration"
 
 

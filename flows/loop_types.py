@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Any
 
 Reference = Mapping[str, Any]
+BUNDLE = "bundle"  # the part of a case that holds its inputs; a live cycle's own is ``bundle-{cycle}``
 FEEDBACKS = {
     "soil-moisture": "soil moisture into pre-fire danger",
     "burned-area-danger": "burned area into pre-fire danger",

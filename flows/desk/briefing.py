@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from flows.desk.decisions import DecisionLog
-from flows.desk.standing import PlanStanding, newest_steps, plan_standings
+from flows.desk.standing import PlanStanding, bundle_of, newest_steps, plan_standings
 from flows.root import ArtifactRoot, read_bytes
 from shared.artifacts.manifest import Manifest
 from shared.errors import DomainError
@@ -36,6 +36,7 @@ class Briefing:
     fires: list[dict[str, Any]]
     changes: list[str]
     products: list[dict[str, Any]]
+    inputs: list[dict[str, Any]]
     pictures: list[tuple[str, str]]
     decisions: list[str]
 
@@ -58,6 +59,7 @@ def briefing(root: ArtifactRoot, case: str, cycle: str) -> Briefing:
         _fires(root, steps),
         _changes(root, steps, cycles[earlier[-1]] if earlier else {}),
         [_product(manifest) for _, manifest in sorted(steps.items())],
+        _inputs(bundle_of(root, case, cycle), cycle),
         _pictures(steps),
         [f"{d.at:%Y-%m-%d %H:%M} {d.who}: {d.action} {d.target_id or ''} ({d.why})" for d in log if d.holds_in(cycle)],
     )
@@ -181,6 +183,23 @@ def _product(manifest: Manifest) -> dict[str, Any]:
         "code": product.code_version,
         "files": [(name, _path(manifest, name)) for name in sorted(manifest.files)],
     }
+
+
+def _inputs(bundle: Manifest | None, cycle: str) -> list[dict[str, Any]]:
+    """Where each input of the cycle came from; ``poor`` where no provider gave it in time, or none at all."""
+    entries = bundle.files if bundle else {}
+    return [
+        {
+            "name": PurePath(name).stem,
+            "simulated": "yes" if entry.simulated else "no",
+            "oldest_input": entry.oldest_input or "",
+            "age_h": _age_h(entry.oldest_input or "", cycle),
+            "source": entry.source,
+            "poor": "STALE" in entry.source or entry.source.startswith("none"),
+        }
+        for name, entry in sorted(entries.items())
+        if entry.source
+    ]
 
 
 def _age_h(oldest: str, cycle: str) -> str:

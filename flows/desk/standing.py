@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from flows.desk.decisions import Decision, verdict_on
+from flows.loop_types import BUNDLE
 from flows.root import ArtifactRoot, exists, read_bytes, store_of
 from shared.artifacts.manifest import Manifest
 from shared.errors import DomainError
 
 STATES = ("draft", "rejected", "approved", "uplinked", "executed", "downlinked")
 SCHEDULE = "schedule.parquet"
+IMPORT = "import-case"  # the step that brings a case's inputs in
 CYCLE = r"\d{8}T\d{4}Z"  # the label of a cycle: its cut-off
 
 
@@ -54,6 +56,16 @@ def newest_steps(root: ArtifactRoot, case: str) -> dict[str, dict[str, Manifest]
         if step not in known or written > known[step][0]:
             known[step] = (written, manifest)
     return {cycle: {step: manifest for step, (_, manifest) in steps.items()} for cycle, steps in cycles.items()}
+
+
+def bundle_of(root: ArtifactRoot, case: str, cycle: str) -> Manifest | None:
+    """The import of the bundle that a cycle took its inputs from: its own (live), else the case's; None before it."""
+    imports = [(m, written) for m, written in store_of(root).dated_manifests(case) if m.product.process == IMPORT]
+    for part in (f"{BUNDLE}-{cycle}", BUNDLE):
+        own = [(written, manifest) for manifest, written in imports if manifest.cycle == part]
+        if own:
+            return max(own, key=lambda pair: pair[0])[1]
+    return None
 
 
 def plan_standings(root: ArtifactRoot, case: str, decisions: list[Decision]) -> list[PlanStanding]:

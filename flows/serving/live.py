@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 
-from flows.case_store import BUNDLE, import_into_store
+from flows.case_store import import_into_store
 from flows.cases.bundle import Case, read_case
 from flows.cases.live.build import NAME as LIVE
 from flows.cases.live.bundles import add_bundle, has_bundle, read_frame
@@ -16,7 +16,7 @@ from flows.desk.approval import PeopleDecide
 from flows.desk.decisions import DecisionLog
 from flows.desk.standing import plan_standings
 from flows.ingest.sources import fetch_all
-from flows.loop_types import FEEDBACKS, cycle_label
+from flows.loop_types import BUNDLE, FEEDBACKS, cycle_label
 from flows.profiles import profile_of
 from flows.root import work_folder
 from flows.root_lock import only_run

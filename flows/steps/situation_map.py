@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 matplotlib.use("Agg")
 _STEP_H = 12
+# A legend's distance in its letters: in parts of a flat map it would cover the label of the axis.
+_UNDER_MAP: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.5}
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ def _draw_targets(axes: Axes, layers: Layers) -> None:
         part = targets[mask]
         axes.scatter(part.geometry.x, part.geometry.y, label=f"{label} ({len(part)})", linewidths=0.8, **style)
     axes.set_title("Targets, and what was recorded in raw-IF mode")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, fontsize=8)
+    axes.legend(**_UNDER_MAP, ncols=2, fontsize=8)
 
 
 def _draw_fires(figure: Figure, axes: Axes, layers: Layers, inputs: SituationInputs) -> None:
@@ -147,7 +149,7 @@ def _draw_fires(figure: Figure, axes: Axes, layers: Layers, inputs: SituationInp
         for geometry in outline.geometry:
             geopandas.GeoSeries([polygonal(geometry)]).boundary.plot(ax=axes, color="black", linewidth=0.9)
         handles.append(Line2D([], [], color="black", lw=0.9, label="last mapped perimeter"))
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=3, fontsize=8)
+    axes.legend(handles=handles, **_UNDER_MAP, ncols=3, fontsize=8)
     axes.set_title("Fires: arrival time, burned area, detections")
 
 

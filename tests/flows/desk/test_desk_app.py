@@ -60,6 +60,21 @@ def build(root: Path, cycle: str, ids: tuple[int, ...], observed: tuple[bool, ..
     return finish(root, cycle, "plan-observations", files | {"gantt.png": b"\x89PNG", "wrfxweb_1.png": b"\x89PNG"})
 
 
+def bring(root: Path, part: str, files: dict[str, tuple[str, bool, str]]) -> None:
+    """The import of a bundle: each file with its oldest datum, whether it is simulated, and its source."""
+    store = ArtifactStore(Roots(str(root)))
+    with store.staging("flow", part) as staging:
+        entries = {}
+        for name, (oldest, simulated, source) in files.items():
+            (staging / name).write_bytes(source.encode())
+            told = {"simulated": simulated, "oldest_input": oldest, "source": source}
+            entries[name] = describe_file(staging / name, **told)
+        product = Product(process="import-case", code_version="v")
+        named = {"case": CASE, "cycle": part, "key": "k1", "product": product, "inputs": ()}
+        manifest = Manifest(**named, parameters={}, outputs={}, files=entries)
+        store.commit(StepAddress(CASE, part, "import-case", "k1"), {n: staging / n for n in files}, manifest)
+
+
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     folder = tmp_path / "artifacts"
@@ -96,6 +111,23 @@ def test_a_cycle_stands_on_one_page(desk: TestClient) -> None:
     assert "first cycle" in desk.get(f"/cases/tiny/cycles/{FIRST}").text
     front = desk.get("/").text
     assert front.index(SECOND) < front.index(FIRST) and "draft" in front
+
+
+def test_each_input_says_where_it_came_from_and_a_late_one_stands_on_top(desk: TestClient, root: Path) -> None:
+    stale = "NIFC WFIGS, data of 2025-08-31 06:00 UTC, 54.0 h old; STALE, older than 24 h"
+    own = {"incidents.parquet": ("2025-08-31T06:00:00Z", False, stale)}
+    own["fuels.nc"] = ("2025-08-01T00:00:00Z", True, "simulated, seed 1")
+    bring(root, "bundle", {"incidents.parquet": ("2025-09-01T06:00:00Z", False, "NIFC WFIGS")})
+    first = desk.get(f"/cases/tiny/cycles/{FIRST}").text
+    assert "NIFC WFIGS" in first and "Late or missing" not in first
+    bring(root, f"bundle-{SECOND}", own)
+    page = desk.get(f"/cases/tiny/cycles/{SECOND}").text
+    assert "Late or missing inputs: incidents." in page and f"<strong>{stale}</strong>" in page
+    assert ">54<" in page and ">780<" in page, "hours before the cut-off"
+    assert "NIFC WFIGS" in desk.get(f"/cases/tiny/cycles/{FIRST}").text, "a cycle without a bundle of its own"
+    empty = {"detections.parquet": ("2025-09-02T12:00:00Z", False, "none: no fire points; the table is empty")}
+    bring(root, f"bundle-{FIRST}", empty)
+    assert "Late or missing inputs: detections." in desk.get(f"/cases/tiny/cycles/{FIRST}").text
 
 
 def test_a_plan_is_approved_by_its_hash(desk: TestClient, root: Path) -> None:

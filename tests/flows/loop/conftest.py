@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from flows.case_store import BUNDLE, CALIBRATION, calibrate, import_into_store
+from flows.case_store import CALIBRATION, calibrate, import_into_store
 from flows.cases.bundle import Case
 from flows.demo import build_case
 from flows.loop import run_cycle
-from flows.loop_types import FEEDBACKS, CaseInputs, CycleProducts, Handover, cycle_label
+from flows.loop_types import BUNDLE, FEEDBACKS, CaseInputs, CycleProducts, Handover, cycle_label
 from flows.profiles import Profile, profile_of
 from flows.runner import DirectRunner, open_store
 from flows.services import running_services, wait_until_ready

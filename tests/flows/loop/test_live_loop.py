@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from flows.case_store import BUNDLE, inputs_of_cycle
+from flows.case_store import inputs_of_cycle
 from flows.cases.live.bundles import add_bundle, begin, read_live
 from flows.desk.approval import CycleUnderWay
 from flows.ingest import sources
 from flows.loop import run_cycle
-from flows.loop_types import FEEDBACKS, CaseInputs, Handover, cycle_label
+from flows.loop_types import BUNDLE, FEEDBACKS, CaseInputs, Handover, cycle_label
 from flows.profiles import profile_of
 from flows.runner import DirectRunner, open_store
 from tests.flows.ingest.playing import AREA, NOW, play_all
