@@ -168,6 +168,14 @@ def long() -> None:
         emit(f"fleet{size}_peak_gb", fleet["peak_gb"], "GB")
 
 
+def keep_lines_apart() -> None:
+    """Standard output for our JSON lines alone: HiGHS writes a word of its own there, which goes to standard error."""
+    sys.stdout.flush()
+    own = os.dup(1)
+    os.dup2(2, 1)
+    sys.stdout = os.fdopen(own, "w", encoding="utf-8")
+
+
 def main() -> None:
     if not os.environ.get("SMOKEGLINT_DATA"):
         print("SMOKEGLINT_DATA is not set: nothing to measure", file=sys.stderr)
@@ -178,6 +186,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    keep_lines_apart()
     if len(sys.argv) == 5:
         print(json.dumps(measure(*sys.argv[1:])))
     else:

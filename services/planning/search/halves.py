@@ -3,7 +3,8 @@
 Some chunks are freed, the others stay as they are. Which images are best in the freed ones, as many in each as before,
 is a program of a few thousand columns whose relaxation is almost whole: branch and bound ends in seconds, where all
 chunks together would not end at all. Counts per chunk stay, so storage, energy and stations need no second look.
-Each round frees two disjoint random sets of chunks, one a core; a set's images are taken over where they gain.
+Each round frees two disjoint sets of chunks, one a core; a set's images are taken over where they gain. By turns these
+are all chunks of some satellites, which leave little to branch on, and chunks of all satellites.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def improve_halves(
         for done in range(rounds):
             if stop(done, plan.chosen):
                 return plan.chosen, True
-            sets = _disjoint_sets(space, rng)
+            sets = _disjoint_sets(space, rng, by_satellite=done % 2 == 0)
             results = list(pool.map(lambda free, now=plan: now.improved(free, left), sets))
             if any(slow for _, slow in results):
                 return plan.chosen, True
@@ -113,12 +114,15 @@ def _candidates(now: BoolArray, sets: list[IntArray], found: list[BoolArray | No
     return [*single, both]
 
 
-def _disjoint_sets(space: SearchSpace, rng: np.random.Generator) -> list[IntArray]:
+def _disjoint_sets(space: SearchSpace, rng: np.random.Generator, by_satellite: bool) -> list[IntArray]:
     """Two sets of images, each all of some chunks, of at most `FREED_IMAGES` and about half of the images."""
     size = np.diff(space.first)
     most = min(FREED_IMAGES, -(-int(size.sum()) // 2))
     sets: list[IntArray] = []
     chunks = rng.permutation(np.flatnonzero(size))
+    if by_satellite:
+        rank = rng.permutation(int(space.chunk_satellite.max(initial=0)) + 1)
+        chunks = chunks[np.argsort(rank[space.chunk_satellite[chunks]], kind="stable")]
     total = np.cumsum(size[chunks])
     for part in range(2):
         inside = (total > part * most) & (total <= (part + 1) * most)
