@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from flows.commands.options import CaseName, Root
-from flows.desk.decisions import DecisionLog, keep
+from flows.desk.briefing import known_targets
+from flows.desk.decisions import DecisionLog, added_id, keep
 from flows.desk.standing import case_folder, plan_standings
 from shared.errors import DomainError
 
@@ -62,7 +63,11 @@ def decisions(case: CaseName, root: Root = "artifacts") -> None:
 def _about_target(case: str, root: str, who: str, **decided: Any) -> None:
     folder = case_folder(root, case)
     decision = keep(root, folder, who=who or getpass.getuser(), **decided)
-    print(f"{decision.action} kept as {decision.id}")
+    about = added_id(decision) if decision.action == "add" else decision.target_id
+    print(f"{decision.action} of target {about} kept as {decision.id}")
+    cycle, known = known_targets(root, folder, decision.cycle)
+    if decision.action != "add" and known and about not in known:
+        print(f"Cycle {cycle} has no target {about}: this counts only where a later one has.")
 
 
 @target_app.command()

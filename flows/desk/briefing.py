@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from flows.desk.decisions import DecisionLog
+from flows.desk.decisions import Decision, DecisionLog
 from flows.desk.standing import PlanStanding, bundle_of, newest_steps, plan_standings
 from flows.root import ArtifactRoot, read_bytes
 from shared.artifacts.manifest import Manifest
@@ -61,8 +61,27 @@ def briefing(root: ArtifactRoot, case: str, cycle: str) -> Briefing:
         [_product(manifest) for _, manifest in sorted(steps.items())],
         _inputs(bundle_of(root, case, cycle), cycle),
         _pictures(steps),
-        [f"{d.at:%Y-%m-%d %H:%M} {d.who}: {d.action} {d.target_id or ''} ({d.why})" for d in log if d.holds_in(cycle)],
+        [_decided(decision, steps) for decision in log if decision.holds_in(cycle)],
     )
+
+
+def known_targets(root: ArtifactRoot, case: str, cycle: str) -> tuple[str, set[int]]:
+    """The targets of that cycle by id or, while it has none, of the newest one that has; and which cycle that is."""
+    cycles = {label: steps for label, steps in newest_steps(root, case).items() if "build-targets" in steps}
+    if not cycles:
+        return cycle, set()
+    label = cycle if cycle in cycles else max(cycles)
+    last = "apply-decisions" if "apply-decisions" in cycles[label] else "build-targets"
+    table = _read_table(root, cycles[label], last, "targets.parquet")
+    return label, set() if table is None else set(table["target_id"].astype(int))
+
+
+def _decided(decision: Decision, steps: Steps) -> str:
+    """One decision in a line, and whether its target is none of this cycle's."""
+    lacking = steps["apply-decisions"].outputs.get("without_target", ()) if "apply-decisions" in steps else ()
+    missed = decision.target_id is not None and decision.target_id in {change["target_id"] for change in lacking}
+    told = f"{decision.at:%Y-%m-%d %H:%M} {decision.who}: {decision.action} {decision.target_id or ''} ({decision.why})"
+    return f"{told}: no such target in this cycle" if missed else told
 
 
 def _pictures(steps: Steps) -> list[tuple[str, str]]:

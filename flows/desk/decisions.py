@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import uuid
 from collections.abc import Iterable
@@ -15,6 +16,8 @@ from shared.errors import DomainError
 
 Action = Literal["approve", "reject", "add", "pin", "exclude", "reweight", "release"]
 TARGET_ACTIONS = ("pin", "exclude", "reweight", "release")
+REWARDS = {"active": (0.1, 1.0), "prefire": (0.0, 0.9)}  # of a target by kind: the one scale of the targets contract
+_FIRST_ADDED_ID = 8_000_000_000_000_000  # lattice ids have 18 digits; below 2^53, so exact in JSON readers, too
 _LABEL = r"^\d{8}T\d{4}Z$"
 
 
@@ -22,7 +25,7 @@ class Decision(BaseModel):
     """One decision. It holds from the cycle ``cycle`` on, to ``until`` (included) where that is given.
 
     ``approve`` and ``reject`` are of one plan, told by the hash of its schedule, and of no other that may follow it.
-    ``release`` takes back what was decided about a target before.
+    ``release`` takes back what was decided about a target before; of an added target, the target itself.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -109,18 +112,28 @@ def _change(decision: Decision) -> dict[str, Any]:
 
 
 def additions(decisions: Iterable[Decision], cycle: str) -> list[dict[str, Any]]:
-    """The targets that people added for a cycle, oldest first; one that was excluded since is none any more."""
-    return [
-        {
-            "kind": decision.kind,
-            "priority": decision.priority,
-            "longitude_deg": decision.longitude_deg,
-            "latitude_deg": decision.latitude_deg,
-            "source": f"added by {decision.who}: {decision.why}",
-        }
-        for decision in decisions
-        if decision.action == "add" and decision.holds_in(cycle)
-    ]
+    """The targets that people added for a cycle, the latest word about each; one excluded or released since is none."""
+    added: dict[int, dict[str, Any]] = {}
+    for decision in decisions:
+        if not decision.holds_in(cycle):
+            continue
+        if decision.action == "add":
+            added[added_id(decision)] = {
+                "kind": decision.kind,
+                "priority": decision.priority,
+                "longitude_deg": decision.longitude_deg,
+                "latitude_deg": decision.latitude_deg,
+                "source": f"added by {decision.who}: {decision.why}",
+            }
+        elif decision.action in ("exclude", "release"):
+            added.pop(decision.target_id or 0, None)
+    return list(added.values())
+
+
+def added_id(item: Any) -> int:
+    """The id of an added target: of its kind and place (to 0.0001 degree), so that it is the same in every cycle."""
+    text = f"{item.kind} {item.longitude_deg:.4f} {item.latitude_deg:.4f}"
+    return _FIRST_ADDED_ID + int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
 
 def verdict_on(decisions: Iterable[Decision], schedule_sha256: str) -> Decision | None:
@@ -137,4 +150,10 @@ def keep(root: ArtifactRoot, case: str, **decided: Any) -> Decision:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))
         raise DomainError(f"This is no decision: {where} {first['msg']}".strip(), field=where) from error
+    if decision.action == "add" and decision.kind is not None:
+        low, high = REWARDS[decision.kind]
+        if not low <= (decision.priority or 0.0) <= high:  # kept, it would end every later cycle
+            accepted = f"{low:g} to {high:g}"
+            text = f"A target that is {decision.kind} has no such reward."
+            raise DomainError(text, field="priority", value=decision.priority, accepted=accepted)
     return DecisionLog(root, case).append(decision)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from flows.desk.decisions import REWARDS, added_id
 from shared.errors import DomainError
 from shared.process import ArtifactRef, JobContext, Process, ProcessInputs, ProcessOutputs
 
 if TYPE_CHECKING:
     import geopandas
-
-_FIRST_ID = 8_000_000_000_000_000  # lattice ids have 18 digits; below 2^53, so exact in JSON readers, too
-_RANGE = {"active": (0.1, 1.0), "prefire": (0.0, 0.9)}  # the one reward scale of the targets contract
 
 
 class Addition(BaseModel):
@@ -69,7 +66,7 @@ def added_rows(additions: list[Addition]) -> geopandas.GeoDataFrame:
 
     rows: dict[int, dict[str, Any]] = {}
     for place, item in enumerate(additions):
-        low, high = _RANGE[item.kind]
+        low, high = REWARDS[item.kind]
         if not low <= item.priority <= high:
             raise DomainError(
                 f"The target added at {item.longitude_deg}, {item.latitude_deg} has no reward of its scale.",
@@ -83,12 +80,6 @@ def added_rows(additions: list[Addition]) -> geopandas.GeoDataFrame:
     table = [{"target_id": key, **row} for key, row in rows.items()]
     points = geopandas.points_from_xy(*zip(*((r["longitude_deg"], r["latitude_deg"]) for r in table), strict=True))
     return geopandas.GeoDataFrame(table, geometry=points, crs="EPSG:4326")
-
-
-def added_id(item: Addition) -> int:
-    """The id of an added target: of its kind and place (to 0.0001 degree), so that it is the same in every cycle."""
-    text = f"{item.kind} {item.longitude_deg:.4f} {item.latitude_deg:.4f}"
-    return _FIRST_ID + int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
 
 
 APPLY_DECISIONS = Process(

@@ -10,8 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 from flows.desk.approval import AwaitingApproval, PeopleDecide
-from flows.desk.decisions import Decision, DecisionLog, additions, target_changes, verdict_on
-from flows.steps.decided import Addition, added_id, added_rows
+from flows.desk.decisions import Decision, DecisionLog, added_id, additions, keep, target_changes, verdict_on
+from flows.steps.decided import Addition, added_rows
 from shared.contracts import tables
 from shared.errors import DomainError
 
@@ -95,7 +95,7 @@ def test_a_decision_holds_from_its_cycle_to_its_last() -> None:
     assert held == {FIRST: [2], SECOND: [1, 2], THIRD: [1]}
 
 
-def test_added_targets_fit_the_contract_and_keep_their_id() -> None:
+def test_added_ids_fit_the_contract_and_keep_their_id() -> None:
     place = {"kind": "active", "priority": 0.8, "longitude_deg": -110.5, "latitude_deg": 34.25}
     story = [said(1, "add", **place), said(2, "add", **{**place, "priority": 0.9})]
     rows = added_rows([Addition(**item) for item in additions(story, FIRST)])
@@ -105,6 +105,24 @@ def test_added_targets_fit_the_contract_and_keep_their_id() -> None:
     same, other = (Addition(**place, source="x"), Addition(**{**place, "latitude_deg": 34.26}, source="x"))
     assert added_id(same) == checked["target_id"].iloc[0] != added_id(other)
     assert 0 < added_id(same) < 2**53
+
+
+@pytest.mark.parametrize("action", ["exclude", "release"])
+def test_an_added_id_is_taken_back_by_its_id(action: str) -> None:
+    place = {"kind": "active", "priority": 0.8, "longitude_deg": -110.5, "latitude_deg": 34.25}
+    first, other = said(1, "add", **place), said(2, "add", **{**place, "latitude_deg": 34.3})
+    gone = said(3, action, SECOND, target_id=added_id(first))
+    assert [item["latitude_deg"] for item in additions([first, other, gone], SECOND)] == [34.3]
+    assert len(additions([first, other, gone], FIRST)) == 2, "the cycle before had it"
+    assert len(additions([first, other, gone, said(4, "add", SECOND, **place)], SECOND)) == 2, "added again"
+
+
+def test_a_reward_off_the_scale_is_not_kept(tmp_path: Path) -> None:
+    place = {"kind": "prefire", "priority": 0.95, "longitude_deg": -110.5, "latitude_deg": 34.25}
+    with pytest.raises(DomainError, match="no such reward") as caught:
+        keep(tmp_path, "case", who="ann", why="x", action="add", cycle=FIRST, **place)
+    assert (caught.value.field, caught.value.accepted) == ("priority", "0 to 0.9")
+    assert not DecisionLog(tmp_path, "case").all(), "kept, it would end every later cycle"
 
 
 @pytest.mark.parametrize(("kind", "priority"), [("active", 0.05), ("active", 1.5), ("prefire", 0.95)])
