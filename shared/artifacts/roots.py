@@ -95,9 +95,13 @@ class Roots:
         return location
 
     def relative(self, location: Location) -> str:
-        """The path below the artifact root, with ``external:`` and the bare name for files of other roots."""
+        """The path below the artifact root, with ``external:`` and the bare name for files of other roots.
+
+        A hidden folder of the root (``.cases``) counts as another: where the root is on S3, it lies on some machine,
+        and the record of a step must be the same in both.
+        """
         root = self._root_path()
-        if location.path.startswith(root + "/"):
+        if location.path.startswith(root + "/") and not location.path.startswith(root + "/."):
             return location.path[len(root) + 1 :]
         return "external:" + posixpath.basename(location.path)
 

@@ -348,3 +348,10 @@ def test_media_types_follow_the_suffix() -> None:
     assert media_type("a.PARQUET") == "application/vnd.apache.parquet"
     assert media_type("tar.nc") == "application/x-netcdf"
     assert media_type("manifest") == media_type("a.bin") == "application/octet-stream"
+
+
+def test_a_file_of_the_work_folder_is_told_like_one_from_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "root" / ".cases").mkdir(parents=True)
+    (tmp_path / "root" / ".cases" / "case.toml").write_text("a")
+    roots = Roots(str(tmp_path / "root"))
+    assert roots.relative(roots.resolve(".cases/case.toml")) == "external:case.toml"  # as where the root is on S3
