@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import geopandas as gpd
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from services.arrival.assignment import Assignment
 from services.arrival.extent import gather
 from services.arrival.grid import FireGrid, make_grid
-from services.arrival.inference import ArrivalMap, Settings, infer_arrival
+from services.arrival.inference import DEFAULT_METHOD, FIT_ALONE, ArrivalMap, Settings, infer_arrival
 from services.arrival.looks import Ignition, Looks, looks_from_burned_area, looks_from_detections, merge
 from services.arrival.outlines import Outlines, honour, looks_from_outlines, read_outlines
 from shared.errors import DomainError
@@ -159,9 +159,14 @@ def map_case(
 ) -> ArrivalMap:
     """The arrival map of a case; without any fire evidence an empty map flagged `no-detection`, where nothing burned
     is claimed."""
+    # Looks made of perimeters are none that the correction was learned from.
+    used = FIT_ALONE if case.outlines is not None and method == DEFAULT_METHOD else method
     try:
-        found = infer_arrival(case.looks, case.grid, case.ignition, case.end_h, method, seed, settings, progress)
-        return found if case.outlines is None else honour(found, case.outlines, case.looks, case.ignition.time_h)
+        found = infer_arrival(case.looks, case.grid, case.ignition, case.end_h, used, seed, settings, progress)
+        if case.outlines is None:
+            return found
+        why = f"{FIT_ALONE}: perimeters or ignition points given" if used != method else found.basis
+        return replace(honour(found, case.outlines, case.looks, case.ignition.time_h), basis=why)
     except DomainError as error:
         if error.field != "detections":
             raise
@@ -198,6 +203,7 @@ def case_report(case: FireCase, arrival: ArrivalMap) -> dict[str, object]:
         "mean_sd_h": round(float(np.nanmean(arrival.sd_h)), 3) if burned.any() else None,
         "not_seen_share": round(float((arrival.evidence.information == 0).mean()), 4),
         "flags": list(arrival.flags),
+        "basis": arrival.basis,
         "network_parameters": arrival.parameters,
         "epsg": case.grid.epsg,
     }

@@ -10,26 +10,24 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from services.arrival.extent import Evidence, gather, supported
-from services.arrival.field import FieldSettings, fit_field
+from services.arrival.field import Field, FieldSettings, fit_field
 from services.arrival.grid import FireGrid
 from services.arrival.looks import Ignition, Looks
 from services.arrival.network import parameter_count
 from services.arrival.paper_method import PaperSettings, fit_paper
+from services.arrival.posterior.correction import Corrected, corrected, unlearned
 from services.arrival.svm import SvmSettings, fit_svm
+from services.arrival.uncertainty import Z95, error_variance, late_share
 from shared.errors import DomainError
 
-DEFAULT_METHOD = "arrival-field"
-METHODS = (DEFAULT_METHOD, "fusion-nn", "svm", "nearest-detection")
+DEFAULT_METHOD = "arrival-posterior"
+FIT_ALONE = "arrival-field"
+METHODS = (DEFAULT_METHOD, FIT_ALONE, "fusion-nn", "svm", "nearest-detection")
 # Names that callers used before the methods had theirs.
 FORMER_NAMES = {"fusion-nn-paper": "fusion-nn"}
 Settings = FieldSettings | PaperSettings | SvmSettings
 EDGE_KM = 0.4
 MIXING_DISTANCE_KM = 5.0
-# Variance of the error (h^2) on synthetic tuning fires: a constant, the spread of the members (too small by itself),
-# half a pixel times the pace of the front, the distance to the nearest evidence, and the pass interval as a uniform
-# draw (/12).
-SD_CONSTANT_H, SPREAD_FACTOR, PACE_KM, DISTANCE_H_PER_KM = 1.1, 1.5, 0.4, 2.8
-Z95 = 1.645
 Floats = NDArray[np.float64]
 
 
@@ -37,7 +35,8 @@ Floats = NDArray[np.float64]
 class ArrivalMap:
     """Arrival of one fire on its grid, (rows, columns), hours since the reference time; NaN where not burned.
 
-    `flags` names what makes the product weaker than it looks (e.g. `one-detection`).
+    `flags` names what makes the product weaker than it looks (e.g. `one-detection`). `basis` says what it rests on
+    where that is less than its method's name promises.
     """
 
     grid: FireGrid
@@ -50,6 +49,7 @@ class ArrivalMap:
     flags: tuple[str, ...]
     parameters: int
     model_bytes: int
+    basis: str = ""
 
 
 def nearest_detection(looks: Looks, x_km: Floats, y_km: Floats, radius_km: float = 0.5) -> Floats:
@@ -98,31 +98,17 @@ def weak_spots(looks: Looks, ignition: Ignition) -> tuple[str, ...]:
     return tuple(flags)
 
 
-def _pass_interval(looks: Looks, ignition: Ignition, arrival_h: Floats) -> Floats:
-    """Hours between the passes (or ignition) that bracket each arrival (n,)."""
-    passes = np.unique(np.append(np.round(looks.time_h, 2), ignition.time_h))
-    after = np.clip(np.searchsorted(passes, arrival_h), 1, max(passes.size - 1, 1))
-    if passes.size == 1:
-        return np.full(arrival_h.shape, 24.0)
-    return passes[after] - passes[after - 1]
-
-
-def _pace(arrival_h: Floats, cell_km: float) -> Floats:
-    """Hours that the front takes for a kilometre (rows, columns)."""
-    if min(arrival_h.shape) < 2:
-        return np.zeros_like(arrival_h)
-    d_row, d_column = np.gradient(arrival_h, cell_km)
-    return np.clip(np.hypot(d_row, d_column), 0.0, 10.0)
-
-
 @dataclass(frozen=True)
 class _Fitted:
-    """What a method found: arrival h (members, rows * columns), probability of burned (rows, columns), size."""
+    """What a method found: arrival h (members, rows * columns), probability of burned (rows, columns), size; and what
+    is known beyond that where it was learned, or why not."""
 
     member_h: Floats
     probability: Floats
     parameters: int = 0
     model_bytes: int = 0
+    learned: Corrected | None = None
+    basis: str = ""
 
 
 def _edge(margin_km: Floats) -> Floats:
@@ -131,16 +117,48 @@ def _edge(margin_km: Floats) -> Floats:
 
 
 def _by_field(
-    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: FieldSettings
+    looks: Looks,
+    grid: FireGrid,
+    evidence: Evidence,
+    ignition: Ignition,
+    end_h: float,
+    seed: int,
+    settings: FieldSettings,
 ) -> _Fitted:
-    field = fit_field(looks, grid, ignition, settings, seed)
+    return _of_field(fit_field(looks, grid, ignition, settings, seed), grid)
+
+
+def _of_field(field: Field, grid: FireGrid) -> _Fitted:
     x, y = grid.cell_centres_km()
     burned = _edge(field.margin_at(x, y)).reshape(grid.shape)
     return _Fitted(field.at(x, y), burned, field.parameters, 4 * field.parameters)
 
 
+def _by_posterior(
+    looks: Looks,
+    grid: FireGrid,
+    evidence: Evidence,
+    ignition: Ignition,
+    end_h: float,
+    seed: int,
+    settings: FieldSettings,
+) -> _Fitted:
+    """The field, corrected by what was learned from simulated fires where these looks are such as it knows."""
+    field = fit_field(looks, grid, ignition, settings, seed)
+    alone, why = _of_field(field, grid), unlearned(looks, ignition, end_h)
+    if why:
+        return replace(alone, basis=f"{FIT_ALONE}: {why}")
+    return replace(alone, learned=corrected(looks, field, grid, ignition, end_h))
+
+
 def _by_network(
-    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: PaperSettings
+    looks: Looks,
+    grid: FireGrid,
+    evidence: Evidence,
+    ignition: Ignition,
+    end_h: float,
+    seed: int,
+    settings: PaperSettings,
 ) -> _Fitted:
     """The network decides the extent alone; it is only kept from burning land that nobody saw."""
     fitted = fit_paper(looks, settings, seed)
@@ -152,7 +170,7 @@ def _by_network(
 
 
 def _by_svm(
-    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: SvmSettings
+    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, end_h: float, seed: int, settings: SvmSettings
 ) -> _Fitted:
     surface = fit_svm(looks, settings, seed)
     x, y = grid.cell_centres_km()
@@ -163,13 +181,14 @@ def _by_svm(
 
 
 def _by_nearest(
-    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, seed: int, settings: None
+    looks: Looks, grid: FireGrid, evidence: Evidence, ignition: Ignition, end_h: float, seed: int, settings: None
 ) -> _Fitted:
     return _Fitted(nearest_detection(looks, *grid.cell_centres_km())[None], _edge(evidence.margin_km))
 
 
 _FITS: dict[str, tuple[Callable[..., _Fitted], type | None]] = {
-    "arrival-field": (_by_field, FieldSettings),
+    DEFAULT_METHOD: (_by_posterior, FieldSettings),
+    FIT_ALONE: (_by_field, FieldSettings),
     "fusion-nn": (_by_network, PaperSettings),
     "svm": (_by_svm, SvmSettings),
     "nearest-detection": (_by_nearest, None),
@@ -204,7 +223,7 @@ def infer_arrival(
     evidence = gather(grid, looks)
     fit, kind = _FITS[method]
     chosen = settings if kind and isinstance(settings, kind) else own_settings(method)
-    fitted = fit(looks, grid, evidence, ignition, seed, chosen)
+    fitted = fit(looks, grid, evidence, ignition, end_h, seed, chosen)
     return _finish(looks, grid, evidence, ignition, end_h, fitted)
 
 
@@ -223,36 +242,35 @@ def _finish(
     burned = (probability > 0.5) & (arrival <= end_h)
     distance = np.minimum(evidence.distance_km, 1e3)
     flags = weak_spots(looks, ignition)
-    variance = (
-        SD_CONSTANT_H**2
-        + (SPREAD_FACTOR * spread) ** 2
-        + _pass_interval(looks, ignition, arrival) ** 2 / 12.0
-        + (PACE_KM * _pace(arrival, grid.cell_m / 1e3)) ** 2
-        + (DISTANCE_H_PER_KM * distance) ** 2
-    )
+    variance = error_variance(looks, ignition, arrival, spread, distance, grid.cell_m / 1e3)
     if {"one-detection", "one-instant", "burned-area-only"} & set(flags):
         variance = variance + max(end_h - start, 12.0) ** 2 / 12.0
     sd = np.sqrt(variance)
     arrival = np.clip(arrival, start, end_h)
+    low, high = np.maximum(arrival - Z95 * sd, start), arrival + Z95 * sd
+    probability = np.clip(probability * (1 - late_share(arrival, sd, end_h)), 0.0, 1.0)
+    if fitted.learned is not None:
+        own, known = fitted.learned, fitted.learned.known
+        arrival = np.where(known, np.clip(own.arrival_h, start, end_h), arrival)
+        sd = np.where(known, own.sd_h, sd)
+        low = np.where(known, np.clip(own.low_h, start, arrival), low)
+        high = np.where(known, np.maximum(own.high_h, arrival), high)
+        probability = np.where(known, own.burned, probability)
+        burned = np.where(known, own.burned > 0.5, burned)
     blank = np.where(burned, 0.0, np.nan)
-    late = _late_share(arrival, sd, end_h)
     return ArrivalMap(
         grid,
         evidence,
         arrival + blank,
         sd + blank,
-        np.maximum(arrival - Z95 * sd, start) + blank,
-        arrival + Z95 * sd + blank,
-        np.clip(probability * (1 - late), 0.0, 1.0),
+        low + blank,
+        high + blank,
+        probability,
         flags,
         fitted.parameters,
         fitted.model_bytes,
+        fitted.basis,
     )
-
-
-def _late_share(arrival_h: Floats, sd_h: Floats, end_h: float) -> Floats:
-    """Roughly the probability that the fire comes only after `end_h`, where arrival is near the end."""
-    return np.clip(0.5 + (arrival_h - end_h) / (2 * Z95 * sd_h), 0.0, 0.5)
 
 
 def quick(settings: Settings | None, epochs: int | None, ensemble: int | None) -> Settings | None:

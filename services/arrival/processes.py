@@ -43,17 +43,20 @@ class InferFireArrivalInputs(ProcessInputs):
     end: AwareDatetime = Field(description="end of the period; later data is ignored")
     cell_m: float = Field(500.0, ge=30, le=5000, description="cell of the map, m")
     margin_km: float = Field(10.0, ge=1, le=50, description="margin of the map around the detections, km")
-    method: Literal["arrival-field", "fusion-nn", "svm", "nearest-detection", "fusion-nn-paper"] = Field(
-        "arrival-field",
-        description="smooth field with the likelihood of every look; the paper's network (also by its former name, the "
-        "last); the published support vector machine; the plain baseline",
+    method: Literal[
+        "arrival-posterior", "arrival-field", "fusion-nn", "svm", "nearest-detection", "fusion-nn-paper"
+    ] = Field(
+        "arrival-posterior",
+        description="smooth field with the likelihood of every look, corrected by a network that learned from "
+        "simulated fires; the field alone; the paper's network (also by its former name, the last); the published "
+        "support vector machine; the plain baseline",
     )
     min_confidence: float = Field(70.0, ge=0, le=100, description="a fire row needs a higher confidence; null passes")
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of the networks")
     epochs: int | None = Field(
-        None, ge=1, le=5000, description="training epochs (arrival-field: of ten steps each); null: the method's own"
+        None, ge=1, le=5000, description="training epochs (the field's: of ten steps each); null: the method's own"
     )
-    ensemble: int | None = Field(None, ge=1, le=32, description="members of arrival-field; null: its own")
+    ensemble: int | None = Field(None, ge=1, le=32, description="members of the field; null: its own")
     formats: list[Format] = Field(
         list(ALL_FORMATS),
         description="what is made beside the netCDF and the GeoJSON isochrones; onnx: the network of fusion-nn",

@@ -20,7 +20,7 @@ from services.arrival.inference import ArrivalMap
 
 # A day's growth is seldom repeated whole: fuel ends, crews work; and headings that scatter blunt the mean head, which
 # SWING makes good.
-REPEAT, SWING = 0.65, 1.3
+REPEAT, SWING = 0.8, 1.3
 HEADINGS = np.linspace(-2.0, 2.0, 7)
 TURN_SD_RAD, RATE_SD = 0.8, 0.63
 LOCAL_WEIGHT, LOCAL_REACH_KM = 0.5, 1.0

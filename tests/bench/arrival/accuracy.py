@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from services.arrival.fires import map_case
+from services.arrival.inference import DEFAULT_METHOD, FIT_ALONE
 from tests.services.arrival.airborne import FIRES as AIRBORNE
 from tests.services.arrival.airborne import airborne_case
 from tests.services.arrival.mapped_fires import FIRES as MAPPED
@@ -20,7 +21,7 @@ from tests.services.arrival.synthetic_fires import make_fire
 from tests.services.arrival.wrf_sfire_fires import arrival_maps, wrf_sfire_fire
 
 Show = Callable[..., None]
-METHODS = {"": "arrival-field", "svm_": "svm"}
+METHODS = {"": DEFAULT_METHOD, "svm_": "svm", "field_": FIT_ALONE}
 SYNTHETIC_FIRES = 20
 OBSERVATIONS = 20_000
 WRF_CELL_M = 100.0
@@ -65,6 +66,8 @@ def synthetic(show: Show) -> None:
     show("crps_h", mean(results[""], "crps_h"), "h", f"< {min(peer, climate):.3f}")
     show("climatological_crps_h", climate, "h")
     show("interval90_coverage", mean(results[""], "coverage90"), "1", "0.85..0.95")
+    show("field_crps_h", mean(results["field_"], "crps_h"), "h")
+    show("field_interval90_coverage", mean(results["field_"], "coverage90"), "1")
 
 
 def wrf_sfire(show: Show, data: Path) -> None:
@@ -97,11 +100,11 @@ def mapped(show: Show, data: Path) -> None:
     """Black, Cerro Pelado, Cooks Peak, Tunnel: per fire the means over outlines, and differences from the machine."""
     for name in MAPPED:
         label = name.lower().replace(" ", "_")
-        scores = compare(data, name, tuple(METHODS.values()))
+        scores = compare(data, name, (DEFAULT_METHOD, "svm"))
         if not scores:
             show(f"hms_{label}_detections", 0, "1", "none in the detections at hand: no map to score")
             continue
-        ours, peer = scores["arrival-field"], scores["svm"]
+        ours, peer = scores[DEFAULT_METHOD], scores["svm"]
         show(f"hms_{label}_outlines", len(ours), "1")
         for field, unit in zip(fields(OutlineScore), ("1", "h", "1"), strict=True):
             a, b = (np.array([getattr(entry, field.name) for entry in entries]) for entries in (ours, peer))

@@ -13,6 +13,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from services.arrival.field import FieldSettings
 from services.arrival.fires import map_case
+from services.arrival.inference import DEFAULT_METHOD
 from services.arrival.network import seeded
 from services.arrival.paper_method import PaperSettings, undersample
 from tests.bench.arrival.accuracy import OBSERVATIONS, mean
@@ -46,7 +47,8 @@ def network_rows(show: Show) -> None:
         "nn_": ("fusion-nn", PaperSettings()),
         "nn_bias_corrected_": ("fusion-nn", PaperSettings(bias_correction=True)),
         "nearest_": ("nearest-detection", None),
-        "full_": ("arrival-field", FieldSettings()),
+        "full_": (DEFAULT_METHOD, FieldSettings()),
+        "fit_alone_": ("arrival-field", FieldSettings()),
         **{f"{name}_": ("arrival-field", settings) for name, settings in ABLATIONS.items()},
     }
     for prefix, (method, settings) in rows.items():
@@ -135,7 +137,7 @@ def _pair(seed: int, **changed: float) -> tuple[Score, Score]:
     scores = []
     for each in (fire, blind):
         case = case_of(each)
-        scores.append(score(map_case(case, "arrival-field", 0), truth_on(case, each)))
+        scores.append(score(map_case(case, DEFAULT_METHOD, 0), truth_on(case, each)))
     return scores[0], scores[1]
 
 

@@ -43,12 +43,12 @@ class SyntheticFire:
     end: pd.Timestamp
 
 
-def _smooth_noise(rng: np.random.Generator, size: int, sigma: float) -> np.ndarray:
+def smooth_noise(rng: np.random.Generator, size: int, sigma: float) -> np.ndarray:
     field = gaussian_filter(rng.standard_normal((size, size)), sigma, mode="wrap")
     return field / field.std()
 
 
-def _directional_progress(rng: np.random.Generator, hours: float) -> list[list[float]]:
+def directional_progress(rng: np.random.Generator, hours: float) -> list[list[float]]:
     """Kilometres that a front on unit fuel has run in each direction by each quarter hour (monotone)."""
     times = np.arange(0.0, hours + STEP_H, STEP_H)
     walk = gaussian_filter(np.cumsum(rng.normal(0, 0.12, times.size)), 12)
@@ -64,7 +64,7 @@ def _directional_progress(rng: np.random.Generator, hours: float) -> list[list[f
     return progress
 
 
-def _spread(fuel: np.ndarray, start_cell: tuple[int, int], progress: list[list[float]], hours: float) -> np.ndarray:
+def spread(fuel: np.ndarray, start_cell: tuple[int, int], progress: list[list[float]], hours: float) -> np.ndarray:
     """Earliest arrival, hours, by shortest time over 16 neighbours with speeds that change in time."""
     arrival = np.full(fuel.shape, np.inf)
     arrival[start_cell] = 0.0
@@ -133,10 +133,10 @@ class Sky:
 def _sky(rng: np.random.Generator, side_km: float) -> Sky:
     heading, speed = rng.uniform(0, 2 * np.pi), rng.uniform(2, 15)
     drift = speed * np.array([np.sin(heading), np.cos(heading)])
-    return Sky(np.stack([_smooth_noise(rng, 100, 8) for _ in range(2)]), drift, float(rng.uniform(18, 48)), side_km)
+    return Sky(np.stack([smooth_noise(rng, 100, 8) for _ in range(2)]), drift, float(rng.uniform(18, 48)), side_km)
 
 
-def _look(rng, arrival_h, cell, residence_h, time_h, pixel_km, detect, cloudiness, sky):
+def _look(rng, arrival_h, cell, residence_h, time_h, pixel_km, detect, cloudiness, sky, viewing):
     """One granule: pixel centres (km) seen through cloud, and whether fire was seen in each. `cell` is in km."""
     size = int(sky.side_km / pixel_km) - 1
     origin = rng.uniform(0, pixel_km, 2)
@@ -153,13 +153,13 @@ def _look(rng, arrival_h, cell, residence_h, time_h, pixel_km, detect, cloudines
             j = np.clip(((xx + dx) / cell).astype(int), 0, arrival_h.shape[1] - 1)
             hot |= burning[i, j]
             age = np.fmin(age, np.where(burning[i, j], time_h - arrival_h[i, j], np.inf))
-    fade = 1 - 0.6 * np.clip(age / residence_h, 0, 1)  # a cooling pixel is missed more often
+    fade = 1 - viewing.fading * np.clip(age / residence_h, 0, 1)  # a cooling pixel is missed more often
     seen_fire = hot & (rng.random(hot.shape) < detect * np.where(np.isfinite(age), fade, 0))
     cloud = sky.at(time_h)
     clear = cloud[(yy / sky.side_km * 99).astype(int), (xx / sky.side_km * 99).astype(int)] > np.quantile(
         cloud, cloudiness
     )
-    jitter = rng.normal(0, 0.15 * max(pixel_km, 0.375), (2, *yy.shape))
+    jitter = rng.normal(0, viewing.jitter * max(pixel_km, 0.375), (2, *yy.shape))
     return yy[clear] + jitter[0][clear], xx[clear] + jitter[1][clear], seen_fire[clear]
 
 
@@ -185,6 +185,34 @@ def _burned_area(rng, arrival_h, end_h, tracks, delay_h, noise):
     return rows
 
 
+@dataclass(frozen=True)
+class Viewing:
+    """What differs from the usual way of looking at a fire: hours that a place burns and detection rates by
+    instrument (None: drawn), share of the passes that came, satellites that came, how much larger a pass's pixels may
+    be than at nadir, how much less often a cooling pixel is seen, and the sd of positions in pixels."""
+
+    residence_h: float | None = None
+    detect: dict[str, float] | None = None
+    kept: float = 1.0
+    satellites: tuple[str, ...] = ()
+    widest: float = 1.0
+    seed: int = 0
+    fading: float = 0.6
+    jitter: float = 0.15
+
+    def chosen(self, passes: list[tuple[float, str, str, float]]) -> list[tuple[float, str, str, float]]:
+        """The passes that came, with their pixel sizes."""
+        if self.kept == self.widest == 1.0 and not self.satellites:
+            return passes
+        rng = np.random.default_rng(self.seed)
+        came = [entry for entry in passes if not self.satellites or entry[1] in self.satellites]
+        came = [entry for entry in came if rng.random() < self.kept] or came[-3:]
+        return [(*entry[:3], entry[3] * rng.uniform(1.0, self.widest)) for entry in came]
+
+
+AS_USUAL = Viewing()
+
+
 def _granules(
     rng: np.random.Generator,
     seed: int,
@@ -194,13 +222,16 @@ def _granules(
     days: int,
     cloudiness: float,
     detect: dict[str, float],
+    viewing: Viewing,
 ) -> pd.DataFrame:
     """All looks (y_km, x_km, t_h, fire, ...) of all passes over a fire."""
     sky = _sky(np.random.default_rng(seed + 700_000), cell_km * arrival_h.shape[0])
     rows = []
-    for time_h, satellite, instrument, pixel_km in _overpasses(rng, days):
+    for time_h, satellite, instrument, pixel_km in viewing.chosen(_overpasses(rng, days)):
         share = float(np.clip(cloudiness + rng.normal(0, 0.2), 0, 1)) if cloudiness < 0.9 else cloudiness
-        y, x, seen = _look(rng, arrival_h, cell_km, residence_h, time_h, pixel_km, detect[instrument], share, sky)
+        y, x, seen = _look(
+            rng, arrival_h, cell_km, residence_h, time_h, pixel_km, detect[instrument], share, sky, viewing
+        )
         where = {"y_km": y, "x_km": x, "t_h": time_h, "fire": seen, "satellite": satellite, "instrument": instrument}
         rows.append(pd.DataFrame({**where, "along_m": pixel_km * 1e3, "across_m": pixel_km * 1e3}))
     return pd.concat(rows, ignore_index=True)
@@ -260,12 +291,15 @@ def observed(
     delay_h: float,
     noise: float = 1.0,
     mode: str = "raw-if",
+    viewing: Viewing = AS_USUAL,
 ) -> SyntheticFire:
     """A fire of known arrival (square array, hours; NaN unburned) and the tables that satellites make of it."""
     residence_h = float(rng.uniform(4, 12))
+    residence_h = viewing.residence_h or residence_h
     cloudiness = float(rng.uniform(0.05, 0.45)) if cloudiness is None else cloudiness
     detect = {"VIIRS": float(rng.uniform(0.6, 0.75)), "MODIS": float(rng.uniform(0.4, 0.5))}
-    looks = _granules(rng, seed, arrival_h, cell_km, residence_h, days, cloudiness, detect)
+    detect = viewing.detect or detect
+    looks = _granules(rng, seed, arrival_h, cell_km, residence_h, days, cloudiness, detect, viewing)
     if observations is not None:
         looks = _thin(rng, looks, observations)
     start = pd.Timestamp("2022-06-01T18:00Z")
@@ -323,13 +357,13 @@ def make_fire(
     fire."""
     rng = np.random.default_rng(seed)
     size = int(SIDE_KM / CELL_KM)
-    fuel = np.exp(0.45 * _smooth_noise(rng, size, 6))
-    fuel[_smooth_noise(rng, size, 5) > 2.0] = 0.0
+    fuel = np.exp(0.45 * smooth_noise(rng, size, 6))
+    fuel[smooth_noise(rng, size, 5) > 2.0] = 0.0
     start_cell = (int(rng.uniform(0.35, 0.65) * size), int(rng.uniform(0.35, 0.65) * size))
     fuel[start_cell] = 1.0
     hours = days * 24.0
-    progress = _directional_progress(rng, hours)
-    arrival_h = _spread(fuel, start_cell, progress, hours)
+    progress = directional_progress(rng, hours)
+    arrival_h = spread(fuel, start_cell, progress, hours)
     place = Place(zone, corner_m)
     return observed(
         seed, rng, arrival_h, CELL_KM, start_cell, days, observations, tracks, cloudiness, place, delay_h, noise, mode

@@ -11,6 +11,7 @@ import pandas as pd
 from services.arrival.assignment import assign
 from services.arrival.fires import build_case, map_case
 from services.arrival.front.forecast import constant_rate, forecast_front, persistence
+from services.arrival.inference import DEFAULT_METHOD
 from services.arrival.metrics import sorensen
 from tests.services.arrival.scored import truth_on
 from tests.services.arrival.synthetic_fires import SyntheticFire
@@ -27,7 +28,7 @@ class FrontScore:
     brier: float
 
 
-def score_front(fire: SyntheticFire, cut_h: float, method: str = "arrival-field", settings: Any = None) -> FrontScore:
+def score_front(fire: SyntheticFire, cut_h: float, method: str = DEFAULT_METHOD, settings: Any = None) -> FrontScore:
     """Map the fire from what had been seen by `cut_h` hours after its start, and forecast the 24 h after."""
     end = fire.start + pd.Timedelta(hours=cut_h)
     seen = fire.detections[fire.detections["time"] <= end].reset_index(drop=True)
