@@ -147,7 +147,7 @@ def _deck(draw: random.Random, cards: Sequence[int]) -> Iterator[int]:
 
 def start_flow(platform: Platform) -> subprocess.Popen[bytes]:
     environment = dict(os.environ) | platform.environment
-    with (platform.root.with_suffix(".logs") / "flow.log").open("ab") as log:
+    with (platform.logs / "flow.log").open("ab") as log:
         return subprocess.Popen(platform.flow_command(), cwd=REPOSITORY, env=environment, stdout=log, stderr=log)
 
 

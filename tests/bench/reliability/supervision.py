@@ -93,7 +93,7 @@ class Platform:
 
     def __init__(self, root: Path, logs: Path, *, postgresql: bool = False, workers: int = 1) -> None:
         root.mkdir(parents=True, exist_ok=True)
-        self.root = root
+        self.root, self.logs = root, logs
         self.supervisor = Supervisor(logs)
         self._data: Path | None = None
         database = self._postgresql() if postgresql else ""
