@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from services.arrival.extent import gather, supported
 from services.arrival.field import Field
 from services.arrival.grid import FireGrid
-from services.arrival.looks import FIRE, Ignition, Looks
+from services.arrival.looks import BURNED_AREA, FIRE, Ignition, Looks
 from services.arrival.posterior.channels import channels
 from services.arrival.posterior.network import EARLIEST_H, OFFSET_STEP_H, predict
 from services.arrival.posterior.square import square_around
@@ -46,7 +46,7 @@ def unlearned(looks: Looks, ignition: Ignition, end_h: float) -> str:
     if len(fire) < FEWEST:
         return f"fewer than {FEWEST} sightings"
     period_h = end_h - min(ignition.time_h, float(fire.time_h.min()))
-    passes = np.unique(np.round(looks.time_h * 10)).size
+    passes = np.unique(np.round(_active(looks).time_h * 10)).size
     reasons = {
         "sightings coarser than polar orbiters'": float(np.median(fire.radius_km)) > COARSEST_KM,
         "sightings at one instant": float(np.ptp(fire.time_h)) < 0.2,
@@ -56,6 +56,11 @@ def unlearned(looks: Looks, ignition: Ignition, end_h: float) -> str:
         "more than 12 passes a day": passes > MOST_PASSES_A_DAY * max(period_h, 24.0) / 24.0,
     }
     return next((why for why, holds in reasons.items() if holds), "")
+
+
+def _active(looks: Looks) -> Looks:
+    """The looks that the network knows of: with and without fire, no burned-area points."""
+    return looks.take(looks.kind != BURNED_AREA)
 
 
 def quantiles(probability: Floats, shares: tuple[float, ...]) -> Floats:
@@ -76,8 +81,9 @@ def corrected(looks: Looks, field: Field, grid: FireGrid, ignition: Ignition, en
     square around the sightings nothing burned."""
     square = square_around(looks.fire)
     own = FireGrid(grid.epsg, 1e3 * square.x_km, 1e3 * square.y_km, 1e3 * square.cell_km)
-    evidence = gather(own, looks.moved(*(-value for value in own.origin_km)))
-    read, _ = channels(square, looks, field, evidence, ignition, end_h)
+    active = _active(looks)
+    evidence = gather(own, active.moved(*(-value for value in own.origin_km)))
+    read, _ = channels(square, active, field, evidence, ignition, end_h)
     probability, odds = predict(read, evidence.margin_km)
     offsets = quantiles(probability**SHARPNESS, SHARES)
     x, y = (values.ravel() for values in grid.cell_centres_km())

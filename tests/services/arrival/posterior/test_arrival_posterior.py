@@ -13,7 +13,7 @@ from services.arrival.extent import Evidence, gather
 from services.arrival.field import Field, fit_field
 from services.arrival.fires import FireCase, case_report, map_case
 from services.arrival.grid import FireGrid
-from services.arrival.looks import FIRE, NO_FIRE, Ignition, Looks
+from services.arrival.looks import BURNED_AREA, FIRE, NO_FIRE, Ignition, Looks
 from services.arrival.posterior import network
 from services.arrival.posterior.channels import AGE_STEP_H, AGES, YOUNGEST_H, by_age, channels
 from services.arrival.posterior.correction import FEWEST, quantiles, unlearned
@@ -149,6 +149,11 @@ def test_looks_of_another_kind_are_not_corrected() -> None:
     assert unlearned(usual, start, 70.0) == ""
     assert "longer than 6.5 days" in unlearned(usual, start, 200.0)
     assert "passes a day" in unlearned(looks, start, 70.0)
+    scars = replace(looks, kind=np.full(70, BURNED_AREA, np.int8))
+    with_scars = Looks(
+        **{name: np.concatenate([getattr(part, name) for part in (usual, scars)]) for name in vars(usual)}
+    )
+    assert unlearned(with_scars, start, 70.0) == ""
     assert "without fire" in unlearned(usual.fire, start, 70.0)
     assert "coarser" in unlearned(replace(usual, radius_km=np.full(70, 2.0)), start, 70.0)
     assert "one instant" in unlearned(replace(usual, time_h=np.full(70, 30.0)), start, 70.0)
