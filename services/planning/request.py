@@ -125,11 +125,14 @@ def _recorded(
     objective = best.problem.objective(best.timeline.images)
     bound = max(objective, min(found.bound, best.bound))
     met = bool(best.problem.covered_targets(best.timeline.images)[required].all())
+    exact = bool(np.isfinite(best.bound))
+    # A search that misses one proves nothing; a plan that not even the case without recordings can make does.
+    missed = False if (exact and not best.time_limited) or found.mandatory_possible is False else None
     made = replace(
         found, timeline=best.timeline, objective=objective, bound=bound, method=best.method,
-        mandatory=found.mandatory and met, time_limited=found.time_limited or best.time_limited,
+        mandatory=found.mandatory and met, mandatory_possible=found.mandatory_possible if met else missed,
+        time_limited=found.time_limited or best.time_limited,
     )  # fmt: skip
-    exact = np.isfinite(best.bound)
     return best.problem, made, THIS_CASE if exact else "the same case without recordings, switches and slews"
 
 

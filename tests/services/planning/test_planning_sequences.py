@@ -93,6 +93,19 @@ def test_search_keeps_every_rule_and_never_beats_the_exact_plan(
     assert found.plan.objective <= found.plan.bound + 1e-9
 
 
+@pytest.mark.parametrize(("seed", "possible"), [(600, True), (601, False)])
+def test_only_a_proof_says_that_mandatory_targets_cannot_be_met(
+    seed: int, possible: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The exact program knows whether recordings leave room for all; a search that misses one does not know."""
+    case, rules = small(seed), OperationRules(min_collect_s=3, max_commands_per_day=1)
+    told = [make_plan(case.tables, case.spacecraft, rules=rules, price=False).report["active_mandatory"]]
+    monkeypatch.setattr("services.planning.sequencing.sequence.LARGEST_CELLS", 0)
+    told.append(make_plan(case.tables, case.spacecraft, rules=rules, price=False).report["active_mandatory"])
+    assert [one["held"] for one in told] == [possible, possible]
+    assert [one["possible"] for one in told] == ([True, True] if possible else [False, None])
+
+
 @pytest.mark.parametrize("seed", range(600, 606))
 def test_the_previous_plan_may_break_what_new_commands_must_keep(seed: int) -> None:
     """Rules switched on in mid-plan bind new commands only; frozen recordings stay however short they are."""
