@@ -12,8 +12,7 @@ from rich.table import Table
 from flows.commands.options import CaseName, Root
 from flows.desk.briefing import known_targets
 from flows.desk.decisions import DecisionLog, added_id, keep
-from flows.desk.standing import case_folder, plan_standings
-from shared.errors import DomainError
+from flows.desk.standing import case_folder, plan_standings, undecided_plan
 
 target_app = typer.Typer(help="Targets by hand: they hold from the named cycle on.", no_args_is_help=True)
 Why = Annotated[str, typer.Option(help="the reason; kept with the decision")]
@@ -32,11 +31,7 @@ def approve(
 ) -> None:
     """Approve (or reject) the plan of a cycle as it stands now; a plan made anew needs a new approval."""
     folder = case_folder(root, case)
-    plans = plan_standings(root, folder, DecisionLog(root, folder).all())
-    chosen = [plan for plan in plans if cycle in ("", plan.cycle)]
-    if not chosen:
-        raise DomainError(f"There is no plan of cycle '{cycle}' in case '{folder}'.", field="cycle", value=cycle)
-    plan, action = chosen[-1], "reject" if reject else "approve"
+    plan, action = undecided_plan(root, folder, cycle), "reject" if reject else "approve"
     name = who or getpass.getuser()
     keep(root, folder, action=action, who=name, why=why, cycle=plan.cycle, schedule_sha256=plan.schedule_sha256)
     print(f"{'rejected' if reject else 'approved'} the plan of {plan.cycle} ({plan.schedule_sha256[:12]}) by {name}")

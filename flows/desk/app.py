@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from flows.desk.briefing import briefing
 from flows.desk.decisions import Decision, DecisionLog, keep
-from flows.desk.standing import case_folder, newest_steps, plan_standings
+from flows.desk.standing import case_folder, newest_steps, plan_standings, undecided_plan
 from flows.root import exists, fetched, named_root, store_of
 from shared.artifacts.reference import ArtifactRef, media_type
 from shared.errors import DomainError, NotFoundError
@@ -162,19 +162,12 @@ def _add_documents(app: FastAPI) -> None:
         who = (body.who if principal.name == "loopback" else principal.name) or "loopback"
         decided = body.model_dump(exclude_none=True) | {"who": who}
         if body.action in ("approve", "reject"):
-            decided["schedule_sha256"] = _plan_of(root, case, body.cycle)
+            decided["schedule_sha256"] = undecided_plan(root, case, body.cycle).schedule_sha256
         return keep(root, case, **decided)
 
 
 def _cases(root: str) -> list[str]:
     return [case for case in store_of(root).cases() if newest_steps(root, case)] if exists(root) else []
-
-
-def _plan_of(root: str, case: str, cycle: str) -> str:
-    for plan in plan_standings(root, case, DecisionLog(root, case).all()):
-        if plan.cycle == cycle:
-            return plan.schedule_sha256
-    raise DomainError(f"Case '{case}' has no plan of cycle '{cycle}'.", field="cycle", value=cycle)
 
 
 app = create_desk()

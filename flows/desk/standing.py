@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from flows.desk.decisions import Decision, verdict_on
+from flows.desk.decisions import Decision, DecisionLog, verdict_on
 from flows.loop_types import BUNDLE
 from flows.root import ArtifactRoot, exists, read_bytes, store_of
 from shared.artifacts.manifest import Manifest
@@ -31,6 +31,11 @@ class PlanStanding:
     @property
     def state(self) -> str:
         return self.history[-1][0]
+
+    @property
+    def sent(self) -> bool:
+        """Whether it has gone up to the satellites, so that nobody can stop it any more."""
+        return self.state in STATES[STATES.index("uplinked") :]
 
 
 def case_folder(root: ArtifactRoot, case: str) -> str:
@@ -75,18 +80,33 @@ def plan_standings(root: ArtifactRoot, case: str, decisions: list[Decision]) -> 
     return [_standing(root, cycle, newest[cycle], decisions) for cycle in planned]
 
 
+def undecided_plan(root: ArtifactRoot, case: str, cycle: str = "") -> PlanStanding:
+    """The plan of a cycle (left out: the newest) that can still be approved or rejected; DomainError where there is
+    none, or where it has gone up to the satellites."""
+    plans = plan_standings(root, case, DecisionLog(root, case).all())
+    chosen = [plan for plan in plans if cycle in ("", plan.cycle)]
+    if not chosen:
+        known = ", ".join(plan.cycle for plan in plans) or "none"
+        text = f"There is no plan of cycle '{cycle}' in case '{case}'."
+        raise DomainError(text, field="cycle", value=cycle, accepted=known)
+    plan = chosen[-1]
+    if plan.sent:
+        text = f"The plan of cycle {plan.cycle} is {plan.state} already: approving or rejecting it comes too late."
+        raise DomainError(text, field="cycle", value=plan.cycle, accepted="a cycle whose plan is not uplinked yet")
+    return plan
+
+
 def _standing(root: ArtifactRoot, cycle: str, steps: Mapping[str, Manifest], decisions: list[Decision]) -> PlanStanding:
     digest = steps["plan-observations"].files[SCHEDULE].sha256
     history = [("draft", "", "")]
     verdict = verdict_on(decisions, digest)
     uplink = _of_plan(steps.get("uplink"), digest)
-    if verdict is not None:
+    if uplink is None and verdict is not None:
         state = "rejected" if verdict.action == "reject" else "approved"
         history.append((state, verdict.who, _utc(verdict)))
     if uplink is not None:
         sent = _document(root, uplink, "uplinks.json")
-        if verdict is None:
-            history.append(("approved", sent["approved_by"], sent["approved_at"]))
+        history.append(("approved", sent["approved_by"], sent["approved_at"]))
         first = min((s["contact_start"] for s in sent["satellites"] if s["contact_start"]), default="")
         history.append(("uplinked", "", first))
         executed = _of_plan(steps.get("execute"), digest)

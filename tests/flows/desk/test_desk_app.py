@@ -150,6 +150,9 @@ def test_what_became_of_a_plan_is_told(desk: TestClient, root: Path) -> None:
     history = desk.get("/cases/tiny/plans").json()[0]["history"]
     assert [step["state"] for step in history] == ["draft", "approved", "uplinked", "executed"]
     assert (history[1]["who"], history[2]["at"]) == ("setting", "2025-09-01T13:08:00+00:00")
+    late = desk.post("/cases/tiny/decisions", json={"action": "reject", "cycle": FIRST, "why": "no", "who": "ann"})
+    assert late.status_code == 422 and "executed already" in late.text
+    assert desk.get("/cases/tiny/plans").json()[0]["history"] == history and not DecisionLog(root, CASE).all()
 
 
 def test_targets_with_long_ids_are_pinned_exactly(desk: TestClient, root: Path) -> None:
