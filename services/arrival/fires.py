@@ -25,7 +25,8 @@ BURNED_AREA_REACH_KM = 8.0
 
 @dataclass(frozen=True)
 class FireCase:
-    """One incident with its looks on its grid; hours count from `reference` (UTC, whole hour)."""
+    """One incident with its looks on its grid; hours count from `reference` (UTC, whole hour). `unlike` says in which
+    way its input is none that the learned correction knows (empty: it may be)."""
 
     incident_id: str
     name: str
@@ -35,6 +36,7 @@ class FireCase:
     ignition: Ignition
     end_h: float
     outlines: Outlines | None = None
+    unlike: str = ""
 
 
 def within(frame: gpd.GeoDataFrame, start: pd.Timestamp, end: pd.Timestamp) -> gpd.GeoDataFrame:
@@ -138,7 +140,17 @@ def build_case(
         ignition,
         (end - reference).total_seconds() / 3600.0,
         outlines,
+        _unlike(own, outlines),
     )
+
+
+def _unlike(fires: gpd.GeoDataFrame, outlines: Outlines | None) -> str:
+    """What no training fire was like: looks made of perimeters; and points whose source states no confidence, as
+    HMS's do not, whose looks without fire are no scanner's either (on the Black Fire's the correction did harm)."""
+    if outlines is not None:
+        return "perimeters or ignition points given"
+    unrated = len(fires) and fires["confidence"].isna().mean() > 0.5
+    return "most sightings state no confidence" if unrated else ""
 
 
 def _known_ignition(reported: Ignition, outlines: Outlines) -> Ignition:
@@ -159,14 +171,12 @@ def map_case(
 ) -> ArrivalMap:
     """The arrival map of a case; without any fire evidence an empty map flagged `no-detection`, where nothing burned
     is claimed."""
-    # Looks made of perimeters are none that the correction was learned from.
-    used = FIT_ALONE if case.outlines is not None and method == DEFAULT_METHOD else method
+    used = FIT_ALONE if case.unlike and method == DEFAULT_METHOD else method
     try:
         found = infer_arrival(case.looks, case.grid, case.ignition, case.end_h, used, seed, settings, progress)
-        if case.outlines is None:
-            return found
-        why = f"{FIT_ALONE}: perimeters or ignition points given" if used != method else found.basis
-        return replace(honour(found, case.outlines, case.looks, case.ignition.time_h), basis=why)
+        if used != method:
+            found = replace(found, basis=f"{FIT_ALONE}: {case.unlike}")
+        return found if case.outlines is None else honour(found, case.outlines, case.looks, case.ignition.time_h)
     except DomainError as error:
         if error.field != "detections":
             raise

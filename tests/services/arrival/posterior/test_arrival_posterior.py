@@ -159,6 +159,20 @@ def test_looks_of_another_kind_are_not_corrected() -> None:
     assert "one instant" in unlearned(replace(usual, time_h=np.full(70, 30.0)), start, 70.0)
 
 
+def test_points_that_state_no_confidence_keep_the_fit(cases: list[tuple[FireCase, np.ndarray]]) -> None:
+    fire = make_fire(TESTS[3], observations=4000)
+    unrated = replace(fire, detections=fire.detections.assign(confidence=np.nan))
+    case, rated = case_of(unrated), cases[0][0]
+    assert not rated.unlike and "no confidence" in case.unlike
+    corrected, kept, alone = (
+        map_case(one, method, 0)
+        for one, method in ((rated, "arrival-posterior"), (case, "arrival-posterior"), (rated, "arrival-field"))
+    )
+    assert kept.basis == f"arrival-field: {case.unlike}" and not corrected.basis
+    np.testing.assert_array_equal(kept.arrival_h, alone.arrival_h)
+    assert not np.array_equal(corrected.arrival_h, alone.arrival_h, equal_nan=True)
+
+
 def test_threads_do_not_change_the_answer() -> None:
     read = np.random.default_rng(8).normal(0, 0.5, (network.weights()["stem.weight"].shape[1], CELLS, CELLS))
     read = read.astype(np.float32)
