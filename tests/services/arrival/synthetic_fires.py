@@ -56,6 +56,11 @@ def directional_progress(rng: np.random.Generator, hours: float) -> list[list[fl
     eccentricity = np.clip(0.75 + 0.15 * gaussian_filter(rng.standard_normal(times.size), 24) * 5, 0.4, 0.92)
     clock = 0.12 + np.clip(np.sin(2 * np.pi * (times - rng.uniform(5, 9)) / 24), 0, None) ** rng.uniform(1, 2)
     head_km_h = rng.uniform(0.15, 0.4) * clock
+    return run_by_direction(head_km_h, wind, eccentricity)
+
+
+def run_by_direction(head_km_h: np.ndarray, wind: np.ndarray, eccentricity: np.ndarray) -> list[list[float]]:
+    """Kilometres run in each of `DIRECTIONS` by each quarter hour, by ellipses along the wind (radians)."""
     progress = []
     for row, column in DIRECTIONS:
         off = np.arctan2(row, column) - wind

@@ -13,13 +13,13 @@ from scipy.ndimage import gaussian_filter
 from tests.services.arrival.seeds import TRAINING_SMALL
 from tests.services.arrival.synthetic_fires import (
     CELL_KM,
-    DIRECTIONS,
     SIDE_KM,
     STEP_H,
     Place,
     SyntheticFire,
     Viewing,
     observed,
+    run_by_direction,
     smooth_noise,
     spread,
 )
@@ -48,12 +48,7 @@ def _progress(rng: np.random.Generator, hours: float, size: int) -> list[list[fl
     wind = gaussian_filter(wind, rng.uniform(4, 24))
     eccentricity = np.clip(rng.uniform(0.0, 0.85) + rng.uniform(0.0, 0.2) * _walk(rng, times.size, 24), 0.0, 0.93)
     head_km_h = np.exp(rng.uniform(np.log(0.1), np.log(0.5))) * _daily_rate(rng, times)
-    progress = []
-    for row, column in DIRECTIONS:
-        off = np.arctan2(row, column) - wind
-        speed = head_km_h * (1 - eccentricity) / (1 - eccentricity * np.cos(off))
-        progress.append(np.concatenate([[0.0], np.cumsum(speed[:-1] * STEP_H)]).tolist())
-    return progress
+    return run_by_direction(head_km_h, wind, eccentricity)
 
 
 def _fuel(rng: np.random.Generator, size: int) -> np.ndarray:
