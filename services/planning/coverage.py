@@ -32,6 +32,29 @@ class Coverage:
         return sparse.csr_array((ones, self.group, self.start), shape=(len(self.image), len(self.value)))
 
 
+def full_coverage(problem: PlanningProblem) -> Coverage:
+    """Nothing merged, nothing dropped: group g is target g."""
+    own, targets = problem.images, len(problem.targets.value)
+    return Coverage(
+        np.arange(len(own)), own.start, own.target, problem.targets.value, np.zeros(targets, bool), np.arange(targets)
+    )
+
+
+def without_idle(problem: PlanningProblem, images: IntArray, held: IntArray) -> IntArray:
+    """``images`` less those that observe nothing by themselves, the last looked at first (``held`` stay)."""
+    own, counted = problem.images, problem.targets.counted()
+    chosen = np.zeros(len(own), bool)
+    chosen[images] = True
+    cover = np.bincount(own.target[chosen[own.image_of_entry()]], minlength=len(counted))
+    free = np.setdiff1d(images, held)
+    for image in free[np.argsort(-own.second[free], kind="stable")].tolist():
+        covered = own.covered(image)
+        if not ((cover[covered] == 1) & counted[covered]).any():
+            chosen[image] = False
+            cover[covered] -= 1
+    return np.flatnonzero(chosen)
+
+
 def reduce_coverage(
     problem: PlanningProblem,
     chunks: Chunks,

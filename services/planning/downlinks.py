@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planning.coverage import Coverage, reduce_coverage
 from services.planning.data_cycles import Chunks, build_chunks
-from services.planning.milp import DataCycleModel, build_model
-from services.planning.problem import FloatArray, IntArray, PlanningProblem
+from services.planning.fitting import fitting, held_model, losses
+from services.planning.milp import DataCycleModel
+from services.planning.problem import BoolArray, FloatArray, IntArray, PlanningProblem
 from services.planning.solving import branch_and_bound
-from services.planning.timeline import Shortfall, first_shortfall
+from services.planning.timeline import Shortfall, shortfalls
 
 REFINEMENTS = 40
 NODES = 200
@@ -37,37 +37,49 @@ class Timeline:
     time_limited: bool = False
 
 
-def emit_timeline(problem: PlanningProblem, images: IntArray) -> Timeline:
+def emit_timeline(
+    problem: PlanningProblem, images: IntArray, required: BoolArray, cuts: tuple[tuple[int, int], ...] = ()
+) -> Timeline:
     """An exact timeline for ``images`` that brings data down as early as resources allow.
 
     Totals per chunk come from a small integer program. Where second-by-second simulation finds a rule broken inside a
-    chunk, the chunk is cut there and the program solved again; images that still do not fit are dropped, cheapest
-    first.
+    chunk, the chunk is cut there and the program solved again; of images that still do not fit the most valuable part
+    is kept, with the ``required`` targets if it can be. ``cuts`` (satellite, second) are made from the start.
     """
     wanted = np.unique(np.concatenate([images, problem.frozen_images])).astype(np.int64)
-    kept = wanted
-    cuts: tuple[tuple[int, int], ...] = ()
-    cut = False
-    for _ in range(REFINEMENTS + len(wanted)):
+    pool, kept, cut = wanted, wanted, False
+    for _ in range(REFINEMENTS * len(problem.satellites) + 2 * len(wanted)):
         chunks = build_chunks(problem, cuts)
         seconds, slow = _downlink_seconds(problem, chunks, kept)
         cut |= slow
         if seconds is None:
-            fitting, slow = _fitting(problem, chunks, kept)
+            # From all that may be had, not only from what went into coarser chunks.
+            part, slow = fitting(problem, chunks, pool, required)
             cut |= slow
-            if len(fitting) == len(kept):
-                fitting = _without_cheapest(problem, kept, Shortfall("storage", 0, problem.horizon_s))
-            kept = fitting
+            if part is None or np.array_equal(part, kept):
+                part = _without_cheapest(problem, kept, Shortfall("storage", 0, problem.horizon_s))
+                pool = np.setdiff1d(pool, np.setdiff1d(kept, part))
+            kept = part
             continue
         downlink = place_seconds(problem, chunks, kept, seconds)
-        broken = first_shortfall(problem, kept, downlink)
-        if broken is None:
+        broken = shortfalls(problem, kept, downlink)
+        if not broken:
             return Timeline(kept, downlink, np.setdiff1d(wanted, kept), cuts, cut)
-        new = _finer(problem, chunks, kept, broken, cuts)
-        if new == cuts or len(cuts) > 4 * REFINEMENTS:
-            kept = _without_cheapest(problem, kept, broken)
-        cuts = new
+        part, cuts = _mended(problem, chunks, kept, broken, cuts)
+        pool, kept = np.setdiff1d(pool, np.setdiff1d(kept, part)), part
     raise RuntimeError("no exact timeline exists even without new images")
+
+
+def _mended(
+    problem: PlanningProblem, chunks: Chunks, kept: IntArray, broken: list[Shortfall], cuts: tuple[tuple[int, int], ...]
+) -> tuple[IntArray, tuple[tuple[int, int], ...]]:
+    """Images and cuts for the next attempt: finer chunks at every break, an image less where cuts no longer help."""
+    for item in broken:
+        finer = _finer(problem, chunks, kept, item, cuts)
+        if finer == cuts or sum(s == item.satellite for s, _ in finer) > 4 * REFINEMENTS:
+            kept = _without_cheapest(problem, kept, item)
+        cuts = finer
+    return kept, cuts
 
 
 def _finer(
@@ -96,11 +108,7 @@ def _finer(
 
 
 def _fixed_model(problem: PlanningProblem, chunks: Chunks, images: IntArray, margin_wh: float) -> DataCycleModel:
-    nothing = Coverage(
-        images, np.zeros(len(images) + 1, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0, bool),
-        np.full(len(problem.targets.value), -1, np.int64),
-    )  # fmt: skip
-    model = build_model(problem, chunks, nothing)
+    model = held_model(problem, chunks, images)
     low, cost = model.low.copy(), model.cost.copy()
     low[: model.images] = 1.0
     low[len(low) - len(chunks) :] += margin_wh
@@ -124,17 +132,6 @@ def _downlink_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray
     return None, cut
 
 
-def _fitting(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> tuple[IntArray, bool]:
-    """The most valuable subset of ``images`` that satisfies the (refined) model, and whether time cut the search."""
-    targets = len(problem.targets.value)
-    coverage = reduce_coverage(problem, chunks, images, np.ones(targets, bool), np.zeros(targets, bool))
-    model = build_model(problem, chunks, coverage)
-    whole = np.zeros(len(model.cost), bool)
-    whole[: model.images] = True
-    solution = branch_and_bound(model, whole, 1e-4, NODES, GUARD_S)
-    return coverage.image[solution.images > 0.5], solution.time_limited
-
-
 def _without_cheapest(problem: PlanningProblem, images: IntArray, broken: Shortfall) -> IntArray:
     """``images`` less the one of the broken satellite, before the break, whose loss costs least."""
     own = problem.images
@@ -143,9 +140,7 @@ def _without_cheapest(problem: PlanningProblem, images: IntArray, broken: Shortf
     pool = near if len(near) else movable
     if not len(pool):
         raise RuntimeError(f"rule {broken.rule} is broken at second {broken.second} without any new image")
-    count = np.bincount(own.target[np.isin(own.image_of_entry(), images)], minlength=len(problem.targets.value))
-    losses = [float(problem.targets.value[c[count[c] == 1]].sum()) for c in map(own.covered, pool)]
-    return np.setdiff1d(images, pool[int(np.argmin(losses))])
+    return np.setdiff1d(images, pool[int(np.argmin(losses(problem, images, pool)))])
 
 
 def place_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray, seconds: IntArray) -> NDArray[np.int16]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.planning.coverage import Coverage
+from services.planning.coverage import full_coverage, without_idle
 from services.planning.data_cycles import Chunks
 from services.planning.problem import IntArray, PlanningProblem
 from services.planning.search.kernels import satellite_ok
@@ -22,15 +22,11 @@ class _Choice:
     def __init__(self, problem: PlanningProblem, chunks: Chunks, images: IntArray, downlink: np.ndarray) -> None:
         self.problem, self.chunk = problem, chunks.image_chunk
         own, targets = problem.images, problem.targets
-        everything = Coverage(
-            np.arange(len(own)), own.start, own.target, targets.value, np.zeros(len(targets.value), bool),
-            np.arange(len(targets.value)),
-        )  # fmt: skip
         total = np.zeros((downlink.shape[0], downlink.shape[1] + 1), np.int64)
         np.cumsum((downlink >= 0) & (problem.frozen.downlink < 0), axis=1, out=total[:, 1:])
         allotted = total[chunks.satellite, chunks.end_s] - total[chunks.satellite, chunks.start_s]
-        self.space, _ = search_space(problem, chunks, everything, allotted)
-        self.counts = (targets.value > 0) | targets.demanded() | targets.active
+        self.space, _ = search_space(problem, chunks, full_coverage(problem), allotted)
+        self.counts = targets.counted()
         self.chosen = np.zeros(len(own), bool)
         self.chosen[images] = True
         self.fixed = np.zeros(len(own), bool)
@@ -56,10 +52,9 @@ class _Choice:
         return covered[(self.cover[covered] == 1) & self.counts[covered]]
 
     def redundant_out(self) -> None:
-        order = np.flatnonzero(self.chosen & ~self.fixed)
-        for image in order[np.argsort(-self.problem.images.second[order], kind="stable")]:
-            if not len(self.sole(image)):
-                self.put(int(image), -1)
+        images = np.flatnonzero(self.chosen)
+        for image in np.setdiff1d(images, without_idle(self.problem, images, np.flatnonzero(self.fixed))).tolist():
+            self.put(image, -1)
 
 
 def earlier_images(problem: PlanningProblem, chunks: Chunks, images: IntArray, downlink: np.ndarray) -> IntArray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from services.planning.coverage import reduce_coverage
+from services.planning.coverage import full_coverage, reduce_coverage
 from services.planning.data_cycles import Chunks
 from services.planning.problem import IntArray, PlanningProblem
 from services.planning.search.space import allot_downlinks, construct, energy_binds, search_space
@@ -36,15 +38,13 @@ def greedy_images(problem: PlanningProblem, chunks: Chunks) -> IntArray:
 
 def complete(problem: PlanningProblem, chunks: Chunks, images: IntArray, downlink: np.ndarray) -> IntArray:
     """``images`` plus any that still gain something within the downlinks already emitted."""
-    targets = len(problem.targets.value)
-    coverage = reduce_coverage(
-        problem, chunks, np.arange(len(problem.images)), np.ones(targets, bool), np.zeros(targets, bool)
-    )
     total = np.zeros((downlink.shape[0], downlink.shape[1] + 1), np.int64)
     np.cumsum((downlink >= 0) & (problem.frozen.downlink < 0), axis=1, out=total[:, 1:])
     allotted = total[chunks.satellite, chunks.end_s] - total[chunks.satellite, chunks.start_s]
+    coverage = full_coverage(problem)
     space, order = search_space(problem, chunks, coverage, allotted)
+    # An exact timeline holds ``images``, even where counts per chunk, wary of the order within, would refuse some.
+    space = replace(space, fixed=np.isin(order, images))
     reward = coverage.matrix() @ coverage.value
-    seed = np.isin(coverage.image[order], images)
-    chosen = construct(space, np.argsort(-reward[order], kind="stable"), minimum=1e-12, seed=seed)
-    return np.union1d(images, coverage.image[order][chosen])
+    chosen = construct(space, np.argsort(-reward[order], kind="stable"), minimum=1e-12)
+    return np.sort(order[chosen])

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.planning.coverage import Coverage, reduce_coverage
+from services.planning.coverage import Coverage, reduce_coverage, without_idle
 from services.planning.data_cycles import Chunks, build_chunks
 from services.planning.downlinks import Timeline, emit_timeline
 from services.planning.early import earlier_images
+from services.planning.fitting import with_offers
 from services.planning.greedy import complete, greedy_images
 from services.planning.guidance import Guidance, exact_guidance, is_large, rough_guidance
 from services.planning.milp import DataCycleModel, build_model
@@ -127,7 +128,7 @@ def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock
         problem, chunks, coverage, seed if required.any() else None, options, clock, progress
     )
     progress(80, "exact timeline")
-    timeline = _early(problem, chunks, _emit_full(problem, chunks, images))
+    timeline = _early(problem, chunks, _emit_full(problem, chunks, images, required, clock), required)
     objective = problem.objective(timeline.images)
     kept = mandatory and bool(problem.covered_targets(timeline.images)[required].all())
     size = {
@@ -147,26 +148,30 @@ def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock
     )
 
 
-def _emit_full(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> Timeline:
-    """The exact timeline, filled up with images that still fit and gain something."""
-    timeline = emit_timeline(problem, images)
-    more = complete(problem, chunks, timeline.images, timeline.downlink)
-    if len(more) > len(timeline.images):
-        fuller = emit_timeline(problem, more)
+def _emit_full(
+    problem: PlanningProblem, chunks: Chunks, images: IntArray, required: BoolArray, clock: Clock
+) -> Timeline:
+    """The exact timeline of the images that gain something, filled up with others that still fit and do."""
+    timeline = emit_timeline(problem, without_idle(problem, images, problem.frozen_images), required)
+    more, cut = complete(problem, chunks, timeline.images, timeline.downlink), clock.left() <= 0
+    if not cut:
+        more, cut = with_offers(problem, build_chunks(problem, timeline.cuts), more, required)
+    if problem.objective(more) > problem.objective(timeline.images):
+        fuller = emit_timeline(problem, more, required, timeline.cuts)
         if problem.objective(fuller.images) > problem.objective(timeline.images):
-            return replace(fuller, cuts=tuple(sorted({*timeline.cuts, *fuller.cuts})))
-    return timeline
+            timeline = fuller
+    return replace(timeline, time_limited=timeline.time_limited or cut)
 
 
-def _early(problem: PlanningProblem, chunks: Chunks, timeline: Timeline) -> Timeline:
+def _early(problem: PlanningProblem, chunks: Chunks, timeline: Timeline, required: BoolArray) -> Timeline:
     """The timeline with images earlier where that costs no reward, if an exact timeline holds them all."""
     images = earlier_images(problem, chunks, timeline.images, timeline.downlink)
     if np.array_equal(images, timeline.images):
         return timeline
-    moved = emit_timeline(problem, images)
+    moved = emit_timeline(problem, images, required, timeline.cuts)
     if len(moved.dropped) or problem.objective(moved.images) < problem.objective(timeline.images):
         return timeline
-    return replace(moved, dropped=timeline.dropped, cuts=tuple(sorted({*timeline.cuts, *moved.cuts})))
+    return replace(moved, dropped=timeline.dropped, time_limited=moved.time_limited or timeline.time_limited)
 
 
 def _check_idle(problem: PlanningProblem) -> None:

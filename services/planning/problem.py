@@ -69,6 +69,10 @@ class Targets:
         """Mask of the pinned targets."""
         return np.zeros(len(self.value), bool) if self.pinned is None else self.pinned
 
+    def counted(self) -> BoolArray:
+        """Mask of the targets that an image may be kept for: rewarded, active or pinned ones."""
+        return (self.value > 0) | self.active | self.demanded()
+
 
 @dataclass(frozen=True)
 class Images:

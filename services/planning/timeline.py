@@ -52,8 +52,8 @@ def battery_wh(problem: PlanningProblem, images: IntArray, downlink: NDArray[np.
     return battery
 
 
-def first_shortfall(problem: PlanningProblem, images: IntArray, downlink: NDArray[np.int16]) -> Shortfall | None:
-    """The earliest broken resource rule of a timeline, or None."""
+def shortfalls(problem: PlanningProblem, images: IntArray, downlink: NDArray[np.int16]) -> list[Shortfall]:
+    """The earliest broken resource rule of every satellite that breaks one, in order of time."""
     collect = collected_seconds(problem, images)
     stored = stored_images(problem, images, downlink)
     battery = battery_wh(problem, images, downlink)
@@ -66,5 +66,11 @@ def first_shortfall(problem: PlanningProblem, images: IntArray, downlink: NDArra
             "empty": empty & (downlink[s] >= 0),
             "battery": battery[s] < limits.battery_min_wh - TOLERANCE_WH,
         }
-        found += [Shortfall(rule, s, int(np.argmax(mask))) for rule, mask in broken.items() if mask.any()]
-    return min(found, key=lambda item: (item.second, item.satellite), default=None)
+        own = [Shortfall(rule, s, int(np.argmax(mask))) for rule, mask in broken.items() if mask.any()]
+        found += [min(own, key=lambda item: item.second)] if own else []
+    return sorted(found, key=lambda item: (item.second, item.satellite))
+
+
+def first_shortfall(problem: PlanningProblem, images: IntArray, downlink: NDArray[np.int16]) -> Shortfall | None:
+    """The earliest broken resource rule of a timeline, or None."""
+    return next(iter(shortfalls(problem, images, downlink)), None)
