@@ -84,11 +84,11 @@ def _replace_earlier(choice: _Choice, image: int, by_target: IntArray, seen_star
     if not len(sole):
         return
     rarest = sole[np.argmin(seen_start[sole + 1] - seen_start[sole])]
-    second = choice.problem.images.second
+    own, sought = choice.problem.images, set(sole.tolist())
     for other in by_target[seen_start[rarest] : seen_start[rarest + 1]].tolist():
-        if second[other] >= second[image]:
+        if own.second[other] >= own.second[image]:
             return
-        if choice.chosen[other] or not np.isin(sole, choice.problem.images.covered(other)).all():
+        if choice.chosen[other] or not sought.issubset(own.covered(other).tolist()):
             continue
         choice.put(image, -1)
         choice.put(other, 1)

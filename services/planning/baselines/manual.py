@@ -69,18 +69,36 @@ def _best_track(problem: PlanningProblem, s: int, begin: int, end: int, covered:
     own, limits = problem.images, problem.satellites[s]
     mine = np.flatnonzero((own.satellite == s) & (own.second >= begin) & (own.second < end))
     mine = mine[np.argsort(own.second[mine], kind="stable")]
+    starts = np.flatnonzero(np.diff(own.second[mine], prepend=-2) > 1)
     best, track = 0.0, mine[:0]
-    for place in range(len(mine)):
-        row = mine[place : place + limits.storage_images]
-        gap = np.flatnonzero(np.diff(own.second[row]) > 1)
-        row = row[: gap[0] + 1] if len(gap) else row
-        if place and own.second[mine[place]] == own.second[mine[place - 1]] + 1 and len(row) < limits.storage_images:
-            continue  # the tail of a window that was looked at whole
-        seen = np.unique(np.concatenate([own.covered(int(i)) for i in row]))
-        value = float(problem.targets.value[seen[~covered[seen]]].sum())
+    for run in np.split(mine, starts[1:]):
+        value, begin, stop = _best_window(problem, run, limits.storage_images, covered)
         if value > best:
-            best, track = value, row
+            best, track = value, run[begin:stop]
     return track
+
+
+def _best_window(problem: PlanningProblem, run: IntArray, longest: int, covered: np.ndarray) -> tuple[float, int, int]:
+    """Value, begin and stop of the first window of an unbroken ``run`` that is worth most: ``longest`` images, or all.
+
+    A window moves on image by image: what enters and what leaves is all that is counted.
+    """
+    own = problem.images
+    count: dict[int, int] = {}
+    open_value = [np.where(covered[c], 0.0, problem.targets.value[c]).tolist() for c in map(own.covered, run)]
+    value, best, span = 0.0, 0.0, (0, 0)
+    for place, image in enumerate(run):
+        for target, worth in zip(own.covered(image).tolist(), open_value[place], strict=True):
+            count[target] = count.get(target, 0) + 1
+            value += worth if count[target] == 1 else 0.0
+        begin = place - longest
+        if begin >= 0:
+            for target, worth in zip(own.covered(run[begin]).tolist(), open_value[begin], strict=True):
+                count[target] -= 1
+                value -= worth if count[target] == 0 else 0.0
+        if place + 1 >= min(longest, len(run)) and value > best + 1e-9:
+            best, span = value, (max(0, begin + 1), place + 1)
+    return best, *span
 
 
 def _empty_store(

@@ -81,7 +81,7 @@ def reachable_images(
 def images_that_see(opportunities: pd.DataFrame, rules: OperationRules) -> set[int]:
     """Images with a target that nobody excluded."""
     excluded = [c.target_id for c in rules.target_changes if c.action == "exclude"]
-    return set(opportunities.loc[~opportunities["target_id"].isin(excluded), "image_id"].astype(int))
+    return set(opportunities.loc[~opportunities["target_id"].isin(excluded), "image_id"].unique().tolist())
 
 
 def dropped_images(
