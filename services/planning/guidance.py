@@ -8,20 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from services.planning.coverage import Coverage
 from services.planning.data_cycles import Chunks
 from services.planning.milp import DataCycleModel
 from services.planning.quotas import Quotas, whole_quotas
-from services.planning.solving import Solution, solve_relaxation
-from services.planning.subgradient import guided_multipliers
+from services.planning.solving import Solution, solve_relaxation, trivial_bound
+from services.planning.subgradient import guided_multipliers, rounds_for
 
 LARGE_ENTRIES = 500_000
 """Image-target pairs beyond which an interior point takes longer than averaged subgradients deserve."""
 QUICK_ROUNDS, QUICK_STEPS, QUICK_LAST_STEP = 3, 60, 0.004
 RELAXATION_SHARE = 0.7
 """Share of the time left that the interior point may take before the guard cuts it."""
+DOUBT = 0.4
+"""Mean group values by which averaged subgradients may misjudge an image: so much less it may be worth and is searched
+all the same."""
 QUOTA_GUARD_S, LEAST_GUARD_S = 20.0, 0.5
 
 
@@ -45,13 +48,20 @@ def rough_guidance(model: DataCycleModel, chunks: Chunks, coverage: Coverage, le
     cases get."""
     large = is_large(coverage)
     if large:
-        relaxation = guided_multipliers(model, chunks, coverage, left)
+        relaxation = guided_multipliers(model, chunks, coverage, left, rounds_for(coverage))
     else:
         relaxation = guided_multipliers(
             model, chunks, coverage, rounds=QUICK_ROUNDS, steps=QUICK_STEPS, last_step=QUICK_LAST_STEP
         )
     quotas = whole_quotas(model, chunks, coverage, relaxation, True, _guard_s(left), exact=False)
-    return Guidance(relaxation, quotas, relaxation.bound, relaxation.time_limited or quotas.time_limited)
+    bound, cut = relaxation.bound, relaxation.time_limited or quotas.time_limited
+    if large:
+        if bound < trivial_bound(model):  # where everything can be had, whole numbers prove no more
+            proof = whole_quotas(model, chunks, coverage, relaxation, False, _guard_s(left), exact=True)
+            bound, cut = min(bound, proof.bound), cut or proof.time_limited
+        doubt = DOUBT * float(coverage.value.mean())
+        relaxation = replace(relaxation, reduced=relaxation.reduced + doubt)
+    return Guidance(relaxation, quotas, bound, cut)
 
 
 def exact_guidance(

@@ -22,6 +22,10 @@ from services.planning.solving import Solution, trivial_bound
 
 ROUNDS = 12
 STEPS_PER_ROUND = 150
+MOST_ROUNDS, ROUNDS_WORK = 36, 3e9
+"""More rounds where they are cheap: up to so many, as steps times image-target pairs allow."""
+ROUNDS_S = 120.0
+"""Seconds that must be left for more than the least rounds."""
 LARGE, SMALL = 0.15, 0.0002
 """First and last step, as shares of a group's value for each image too many or too few."""
 QUOTA_GUARD_S, LEAST_GUARD_S = 60.0, 0.5
@@ -63,6 +67,11 @@ def _steps(steps, large, small, y, mean_y, mean_w, quota, order, first, start, g
                 mean_y[g] += y[g] / kept
 
 
+def rounds_for(coverage: Coverage) -> int:
+    """Rounds that a case of this size is worth."""
+    return int(np.clip(ROUNDS_WORK / (STEPS_PER_ROUND * max(1, len(coverage.group))), ROUNDS, MOST_ROUNDS))
+
+
 def guided_multipliers(
     model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float] = lambda: QUOTA_GUARD_S,
     rounds: int = ROUNDS, steps: int = STEPS_PER_ROUND, last_step: float = SMALL,
@@ -77,7 +86,9 @@ def guided_multipliers(
     value = coverage.value.astype(float)
     y, mean_y, mean_w = 0.4 * value, 0.4 * value, np.zeros(len(coverage.image))
     found = _as_solution(model, chunks, coverage, mean_w, mean_y, np.zeros(model.links), trivial_bound(model))
-    cut, best = False, found.bound
+    best = found.bound
+    cut = rounds > ROUNDS and left() < ROUNDS_S
+    rounds = ROUNDS if cut else rounds
     for index in range(rounds):
         quotas = whole_quotas(model, chunks, coverage, found, True, _guard_s(left), exact=False)
         cut |= quotas.time_limited

@@ -47,7 +47,7 @@ WORK = {"60s": 20.0, "600s": 380.0}
 GUARD_S = {"60s": 55.0, "600s": 3600.0}
 """Guards only: on two quiet cores the counted work ends well before 60 s and 600 s."""
 FLEETS = (7, 15, 30, 60)
-FLEET_WORK = {7: 10.0, 15: 10.0, 30: 10.0, 60: 5.0}
+FLEET_WORK = {7: 10.0, 15: 60.0, 30: 10.0, 60: 5.0}
 TARGETS_PER_SATELLITE = 100_000 / 30
 
 
