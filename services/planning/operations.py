@@ -78,7 +78,7 @@ def make_plan(
     request = Request(tables, spacecraft, release, previous, options or Options(), rules or OperationRules())
     problem = build(request)
     answer = solve(request, progress, problem)
-    mandatory = price_mandatory(answer, request)
+    mandatory, unpriced = price_mandatory(answer, request)
     if request.options.active_mandatory == "true":
         _demand_active(answer, mandatory)
     schedule = schedule_table(answer.problem, answer.plan.timeline, previous)
@@ -91,6 +91,7 @@ def make_plan(
     comparison = Comparison(
         greedy=guide.covered_targets(greedy_images(guide, build_chunks(guide))),
         manual=guide.covered_targets(manual_plan(guide).images), prices=prices, mandatory=mandatory,
+        unpriced=unpriced,
     )  # fmt: skip
     report = plan_report(request, answer, comparison, changes)
     return MadePlan(answer.problem, answer.plan, schedule, report, changes)

@@ -62,6 +62,8 @@ class Plan:
     method: str
     time_limited: bool
     model_size: dict[str, int]
+    mandatory_most: int | None = None
+    """At most so many mandatory targets can be met; None where nobody counted."""
 
     @property
     def gap(self) -> float:

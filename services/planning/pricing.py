@@ -10,9 +10,12 @@ import numpy as np
 
 from services.planning.options.rules import OperationRules
 from services.planning.planner import Progress, plan
-from services.planning.problem import ACTIVE_WEIGHT
-from services.planning.request import Answer, Request, solve
+from services.planning.problem import ACTIVE_WEIGHT, BoolArray
+from services.planning.request import Answer, Request, sequenced, solve
+from services.planning.sequencing.recorded import recorded
+from services.planning.sequencing.sequence import SEARCH_ALONE
 
+COUNT_FIRST = "under these rules the search puts the number of active targets first, and has no plan free of that"
 QUIET: Progress = lambda percent, text: None  # noqa: E731
 
 
@@ -66,23 +69,45 @@ def _without_each(request: Request) -> Iterator[tuple[str, Any, Request]]:
         yield "unavailable", value, replace(request, spacecraft=freed, rules=replace(rules, outages=()))
 
 
-def price_mandatory(answer: Answer, request: Request) -> dict[str, Any] | None:
-    """Where the active targets cannot all be met: the plan that keeps as many as can be, against the one that is free.
+def price_mandatory(answer: Answer, request: Request) -> tuple[dict[str, Any] | None, str | None]:
+    """Where the active targets cannot all be met: the plan that keeps as many as can be, against the one that is free;
+    or None and the reason why that is not known.
 
-    None where all that can be reached are observed anyway, or where nothing was demanded.
+    Both are None where all that can be reached are observed anyway, or where nothing was demanded.
     """
     problem, made = answer.problem, answer.plan
     active = problem.targets.active
     reachable = problem.covered_targets(np.arange(len(problem.images))) & active
     observed = problem.covered_targets(made.timeline.images) & active
     if made.mandatory or request.options.active_mandatory == "false" or not (reachable & ~observed).any():
-        return None
+        return None, None
+    if made.method == SEARCH_ALONE:
+        return None, COUNT_FIRST
+    if made.mandatory_most is not None and _met(answer) >= made.mandatory_most:
+        return _dropping(answer, observed, observed, answer.reward), None  # as many as can be: nothing was dropped
     bonus = 1.0 + float(problem.targets.value.sum())
     favoured = replace(problem, targets=replace(problem.targets, value=problem.targets.value + bonus * active))
     options = replace(request.options, active_mandatory="false", mip_gap=1e-9)
-    most = plan(favoured, options, QUIET)
-    held = problem.covered_targets(most.timeline.images) & active
-    kept = problem.objective(most.timeline.images)
+    if sequenced(problem, request.rules):
+        grown, most, _ = recorded(favoured, request.rules, options, QUIET)
+    else:
+        grown, most = favoured, plan(favoured, options, QUIET)
+    met = grown.covered_targets(most.timeline.images)
+    held, kept = met & active, float(problem.targets.value[met].sum())
+    if held.sum() < observed.sum():
+        return None, "the search for it ended with fewer active targets than the plan observes"
+    return _dropping(answer, observed, held, kept), None
+
+
+def _met(answer: Answer) -> int:
+    """Mandatory targets that the plan observes, active or pinned."""
+    targets = answer.problem.targets
+    wanted = targets.active | targets.demanded()
+    return int((answer.problem.covered_targets(answer.plan.timeline.images) & wanted).sum())
+
+
+def _dropping(answer: Answer, observed: BoolArray, held: BoolArray, kept: float) -> dict[str, Any]:
+    """The plan against one that observes the active targets ``held``, as many as can be, and is worth ``kept``."""
     return {
         "active_observed": int(observed.sum()), "active_observed_at_most": int(held.sum()),
         "reward": answer.reward, "reward_with_most_active": kept,

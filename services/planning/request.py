@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
@@ -16,15 +14,12 @@ from services.planning.options.robustness import with_fragile_discount
 from services.planning.options.rules import OperationRules
 from services.planning.options.wishes import Keepable, keepable_images, with_change_penalty, without_added_targets
 from services.planning.planner import Options, Plan, Progress, plan
-from services.planning.problem import BoolArray, PlanningProblem
-from services.planning.sequencing.sequence import one_pointing, sequence
+from services.planning.problem import PlanningProblem
+from services.planning.sequencing.recorded import THIS_CASE, recorded
 from services.planning.spacecraft_limits import satellite_limits
 from shared.contracts.spacecraft import Spacecraft
 from shared.errors import DomainError
 
-GUIDE_SHARE = 0.5
-"""Share of work and time for the plan by totals, where recordings are searched after it."""
-THIS_CASE = "this case"
 STRETCHES = ", with raw-IF data in the stretch of each pass that was set aside for them"
 """``nominal_share`` leaves the choice of seconds within a pass to the plan; one stretch is settled before the proof."""
 
@@ -80,6 +75,11 @@ def build(request: Request) -> PlanningProblem:
     return build_problem(**request.case(), spacecraft=limits)
 
 
+def sequenced(problem: PlanningProblem, rules: OperationRules) -> bool:
+    """Whether the plan must be made of recordings: rules of sequence, or pointings to turn between."""
+    return len(problem.pointings) > 1 or rules.sequenced
+
+
 def solve(request: Request, progress: Progress, problem: PlanningProblem | None = None) -> Answer:
     """Plan the request as it stands (``active_mandatory`` ``true`` is treated as ``auto``)."""
     problem = build(request) if problem is None else problem
@@ -89,8 +89,8 @@ def solve(request: Request, progress: Progress, problem: PlanningProblem | None 
     wished = with_change_penalty(sure, keepable, rules.change_penalty)
     mandatory = "auto" if request.options.active_mandatory == "true" else request.options.active_mandatory
     options = replace(request.options, active_mandatory=mandatory)
-    if len(problem.pointings) > 1 or rules.sequenced:
-        full, made, bound_of = _recorded(wished, rules, options, progress)
+    if sequenced(problem, rules):
+        full, made, bound_of = recorded(wished, rules, options, progress)
     else:
         full, made, bound_of = wished, plan(wished, options, progress), THIS_CASE
     if rules.nominal_share > 0:
@@ -103,45 +103,6 @@ def solve(request: Request, progress: Progress, problem: PlanningProblem | None 
     answer = Answer(plain, made, reward, keepable, dropped, fragile, bound_of)
     _demand_pins(answer)
     return answer
-
-
-def _recorded(
-    wished: PlanningProblem, rules: OperationRules, options: Options, progress: Progress
-) -> tuple[PlanningProblem, Plan, str]:
-    """A plan of recordings: guided and bounded by the plan that totals per data cycle allow."""
-    started = time.monotonic()
-    guide = one_pointing(wished) if len(wished.pointings) > 1 else wished
-    share = replace(
-        options, time_limit_s=options.time_limit_s * GUIDE_SHARE, work_limit=options.work_limit * GUIDE_SHARE
-    )
-    found = plan(guide, share, progress)
-    progress(82, "recordings")
-    left: Callable[[], float] = lambda: options.time_limit_s - (time.monotonic() - started)  # noqa: E731
-    required = _required(wished, options)
-    best = sequence(
-        wished, rules, guide, found.timeline.images, found.timeline.downlink, required,
-        options.work_limit * (1 - GUIDE_SHARE), left,
-    )  # fmt: skip
-    objective = best.problem.objective(best.timeline.images)
-    bound = max(objective, min(found.bound, best.bound))
-    met = bool(best.problem.covered_targets(best.timeline.images)[required].all())
-    exact = bool(np.isfinite(best.bound))
-    # A search that misses one proves nothing; a plan that not even the case without recordings can make does.
-    missed = False if (exact and not best.time_limited) or found.mandatory_possible is False else None
-    made = replace(
-        found, timeline=best.timeline, objective=objective, bound=bound, method=best.method,
-        mandatory=found.mandatory and met, mandatory_possible=found.mandatory_possible if met else missed,
-        time_limited=found.time_limited or best.time_limited,
-    )  # fmt: skip
-    return best.problem, made, THIS_CASE if exact else "the same case without recordings, switches and slews"
-
-
-def _required(problem: PlanningProblem, options: Options) -> BoolArray:
-    seen = problem.covered_targets(np.arange(len(problem.images)))
-    wanted = problem.targets.demanded()
-    if options.active_mandatory != "false":
-        wanted = wanted | problem.targets.active
-    return wanted & seen
 
 
 def _demand_pins(answer: Answer) -> None:

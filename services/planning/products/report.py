@@ -27,12 +27,14 @@ LATENCY_LIMIT_H = 24.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """Targets that the baselines observe, and what options and the mandatory constraint cost (None: not asked)."""
+    """Targets that the baselines observe, and what options and the mandatory constraint cost (None: not asked, or not
+    known for the reason ``unpriced``)."""
 
     greedy: BoolArray
     manual: BoolArray
     prices: list[dict[str, Any]] | None
     mandatory: dict[str, Any] | None
+    unpriced: str | None
 
 
 def plan_report(request: Request, answer: Answer, comparison: Comparison, changes: pd.DataFrame) -> dict[str, Any]:
@@ -46,7 +48,7 @@ def plan_report(request: Request, answer: Answer, comparison: Comparison, change
         "model": plan.model_size,
         "active_mandatory": {
             "asked": request.options.active_mandatory, "held": plan.mandatory, "possible": plan.mandatory_possible,
-            "dropping": comparison.mandatory,
+            "dropping": comparison.mandatory, "dropping_unknown_because": comparison.unpriced,
         },
         "targets": _targets(problem, observed), "images_planned": len(plan.timeline.images),
         "latency": _latency(problem, plan.timeline), "satellites": _satellites(problem, plan.timeline),

@@ -182,7 +182,7 @@ def choose_removal(state, rec, frozen, s, t, least, window):
     while end < rec.shape[1] and rec[s, end] == rec[s, t] and not frozen[s, end]:
         end += 1
     kind = draw(state)
-    if kind < 0.35 and end - begin > least:
+    if kind < 0.35 and end - begin > least - (least > 1):  # one of the shortest may get a second elsewhere: a shift
         at_head = draw(state) < 0.5
         window[0], window[1] = (begin, begin + 1) if at_head else (end - 1, end)
     elif kind < 0.5 and least == 1:

@@ -81,6 +81,26 @@ def _near_frozen(problem: PlanningProblem, rules: OperationRules) -> BoolArray:
     return widened(near, rules.mode_switch_s)
 
 
+def spare_downlinks(problem: PlanningProblem, recording: IntArray, downlink: np.ndarray) -> IntArray:
+    """``downlink`` and the station seconds left over, each for a satellite that records nothing then and sees nothing.
+
+    What more is recorded later can then be sent; seconds that stay empty are no command.
+    """
+    result = downlink.astype(np.int64)
+    busy = recording >= 0
+    busy[problem.images.satellite, problem.images.second] = True
+    taken = np.zeros((max(1, len(problem.stations)), problem.horizon_s), bool)
+    for station in range(len(problem.stations)):
+        taken[station] = (result == station).any(axis=0)
+    for p in problem.passes:
+        span = slice(p.start_s, p.end_s)
+        free = problem.commandable[p.satellite, span] & ~busy[p.satellite, span] & (result[p.satellite, span] < 0)
+        free &= ~taken[p.station, span]
+        result[p.satellite, span][free] = p.station
+        taken[p.station, span] |= free
+    return result
+
+
 def widened(mask: BoolArray, seconds: int) -> BoolArray:
     """The mask with so many seconds before and after every true one."""
     total = np.zeros((mask.shape[0], mask.shape[1] + 1), np.int64)

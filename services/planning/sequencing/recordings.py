@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from services.planning.options.rules import OperationRules
 from services.planning.problem import BoolArray, FloatArray, IntArray, PlanningProblem
-from services.planning.sequencing.kernels import FOREIGN, anneal_blocks
+from services.planning.sequencing.kernels import FOREIGN, anneal_blocks, long_enough, put, resources_fit, slews_fit
 from services.planning.sequencing.passes import widened
 
 REQUIRED_BONUS = 1e6
 """Extra value of a mandatory target inside the search: no sum of others outweighs it."""
 HOT, COLD = 1.0, 0.01
 """Annealing temperatures, in mean values of the shortest recording."""
+WARM, FROZEN = 0.015, 0.003
+"""The same from a plan to begin with, which is not to be lost."""
 FAVOURED_SHARE = 0.35
 """Share of the proposals around images that see a target worth far more than most, which are few."""
 FAVOURED_VALUE = 5.0
@@ -34,13 +37,16 @@ class Recordings:
 
 def search_recordings(
     problem: PlanningProblem, rules: OperationRules, downlink: IntArray, required: BoolArray, scale: float, moves: int,
-    stop: Callable[[int], bool],
+    stop: Callable[[int], bool], begin: IntArray | None = None,
 ) -> Recordings:  # fmt: skip
     """The best recordings found around the given downlinks by ``moves`` counted proposals.
 
-    ``scale`` is what an image is worth on average; ``stop(moves done)`` is the guard between batches.
+    ``scale`` is what an image is worth on average; ``stop(moves done)`` is the guard between batches. ``begin``
+    ((satellites, seconds), pointing or -1) is a plan to start from, as far as the rules allow it.
     """
     space = _space(problem, rules, downlink, required) | {"pick": _proposals(problem, required, scale)}
+    if begin is not None:
+        _record_all(space, begin)
     if not len(problem.images):
         return Recordings(space["rec"].astype(np.int64), False)
     totals = np.zeros(2)
@@ -53,16 +59,14 @@ def search_recordings(
             cut = True
             break
         batch = min(BATCH_MOVES, moves - done)
-        warmest = scale * rules.min_collect_s * HOT
-        hot, cold = (warmest * (COLD / HOT) ** (x / moves) for x in (done, done + batch))
+        first, last = (HOT, COLD) if begin is None else (WARM, FROZEN)
+        hot, cold = (scale * rules.min_collect_s * first * (last / first) ** (x / moves) for x in (done, done + batch))
         anneal_blocks(batch, hot, cold, state, best=best, totals=totals, **space)
         done += batch
     return Recordings(best.astype(np.int64), cut)
 
 
-def _space(
-    problem: PlanningProblem, rules: OperationRules, downlink: IntArray, required: BoolArray
-) -> dict[str, np.ndarray | int | bool]:
+def _space(problem: PlanningProblem, rules: OperationRules, downlink: IntArray, required: BoolArray) -> dict[str, Any]:
     """Flat arrays for the compiled moves."""
     own, shape = problem.images, problem.sunlit.shape
     pointings = max(1, len(problem.pointings))
@@ -94,6 +98,27 @@ def _space(
         "numbers": numbers, "limits": limits, "slew": slew, "initial": initial, "reach": reach,
         "least": rules.min_collect_s, "fill": rules.min_collect_s > 1, "budget": budget,
     }  # fmt: skip
+
+
+def _record_all(space: dict[str, Any], begin: IntArray) -> None:
+    """Put every unbroken run of ``begin`` under one pointing into the space, where rules and resources allow it."""
+    names = ("rec", "image_at", "start", "target", "value", "cover", "segment", "count", "day", "commands")
+    own = [space[name] for name in names]
+    rec, frozen, least = space["rec"], space["frozen"], space["least"]
+    for s in range(len(begin)):
+        line = np.where(space["allowed"][s] & (rec[s] < 0), begin[s], -1)
+        edges = [0, *(np.flatnonzero(np.diff(line)) + 1).tolist(), len(line)]
+        for first, last in pairwise(edges):
+            if line[first] < 0:
+                continue
+            for t in range(first, last):
+                put(s, t, int(line[first]), *own)
+            fits = long_enough(rec, frozen, s, first, least)
+            fits = fits and slews_fit(rec, frozen, s, first, last, space["slew"], space["reach"], space["initial"][s])
+            fits = fits and resources_fit(s, space["offset"], space["numbers"], space["count"], space["limits"])
+            if not fits or (space["commands"][s] > space["budget"][s]).any():
+                for t in range(first, last):
+                    put(s, t, -1, *own)
 
 
 def _proposals(problem: PlanningProblem, required: BoolArray, scale: float) -> IntArray:

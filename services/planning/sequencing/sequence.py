@@ -20,6 +20,7 @@ MOVES_PER_UNIT = 150_000
 """Moves of the search in a unit of the work limit: they cost more than those of the search by totals."""
 TRIAL_SHARE = 0.06
 """Share of the moves spent on each way to downlink before the best goes on."""
+SEARCH_ALONE = "annealing over recordings"
 FILLER_IDS_FROM = 2**30
 """Ids of recorded seconds that see no target: far from any that opportunities use."""
 
@@ -54,33 +55,36 @@ def one_pointing(problem: PlanningProblem) -> PlanningProblem:
     return replace(problem, images=merged, frozen=replace(problem.frozen, image=image), pointings=())
 
 
+def is_small(problem: PlanningProblem) -> bool:
+    """Whether the exact program over seconds decides."""
+    return problem.sunlit.size <= LARGEST_CELLS
+
+
 def sequence(
     problem: PlanningProblem, rules: OperationRules, guide: PlanningProblem, plan_images: IntArray,
     plan_downlink: np.ndarray, required: BoolArray, work: float, seconds_left: Callable[[], float],
+    begin: IntArray | None = None,
 ) -> Sequenced:  # fmt: skip
     """The best timeline found that keeps recordings, switches, slews and command budgets.
 
     ``plan_images`` and ``plan_downlink`` are a plan of ``guide``, the problem without those rules. ``work`` counts
-    units of moves; ``seconds_left`` is the guard.
+    units of moves; ``seconds_left`` is the guard. ``begin`` ((satellites, seconds), pointing or -1) holds recordings to
+    start from (None: from nothing).
     """
-    if problem.sunlit.size <= LARGEST_CELLS:
+    if is_small(problem):
         for demanded in (required, problem.targets.demanded() & required):
             exact = SecondModel(problem, rules, demanded).solve(seconds_left())
             if exact is not None:
                 full, timeline = finished(problem, exact.recording, exact.downlink)
                 return Sequenced(full, timeline, exact.bound, "second by second", exact.time_limited)
-    scale = max(1e-9, guide.objective(plan_images) / max(1, len(plan_images)))
-    free = problem.targets.value[~required]
-    if len(free) and required.any():
-        observed = guide.covered_targets(plan_images) & ~required
-        scale = max(1e-9, float(problem.targets.value[observed].sum()) / max(1, len(plan_images)))
+    scale = _worth_of_image(guide, plan_images, required | problem.targets.active if begin is not None else required)
     moves = int(work * MOVES_PER_UNIT)
     best: tuple[float, IntArray] | None = None
     cut = False
-    ways = list(_downlink_ways(problem, rules, plan_images, plan_downlink, guide))
+    ways = list(_downlink_ways(problem, rules, plan_images, plan_downlink, guide, begin is not None))
     trial = int(moves * TRIAL_SHARE) if len(ways) > 1 else 0
     for way in ways if trial else ():
-        found = search_recordings(problem, rules, way, required, scale, trial, lambda _: seconds_left() <= 0)
+        found = search_recordings(problem, rules, way, required, scale, trial, lambda _: seconds_left() <= 0, begin)
         cut |= found.time_limited
         full, timeline = finished(problem, found.recording, way)
         value = _value(full, timeline, required)
@@ -88,10 +92,17 @@ def sequence(
             best = (value, way)
     way = best[1] if best is not None else ways[0]
     found = search_recordings(
-        problem, rules, way, required, scale, max(1, moves - trial * len(ways)), lambda _: seconds_left() <= 0
+        problem, rules, way, required, scale, max(1, moves - trial * len(ways)), lambda _: seconds_left() <= 0, begin
     )
     full, timeline = finished(problem, found.recording, way)
-    return Sequenced(full, timeline, float("inf"), "annealing over recordings", cut or found.time_limited)
+    return Sequenced(full, timeline, float("inf"), SEARCH_ALONE, cut or found.time_limited)
+
+
+def _worth_of_image(problem: PlanningProblem, images: IntArray, besides: BoolArray) -> float:
+    """What an image brings on average, ``besides`` targets that are not at stake, if there are others."""
+    counted = ~besides if (~besides).any() else np.ones(len(besides), bool)
+    observed = problem.covered_targets(images) & counted
+    return max(1e-9, float(problem.targets.value[observed].sum()) / max(1, len(images)))
 
 
 def _value(problem: PlanningProblem, timeline: Timeline, required: BoolArray) -> float:
@@ -100,10 +111,15 @@ def _value(problem: PlanningProblem, timeline: Timeline, required: BoolArray) ->
 
 
 def _downlink_ways(
-    problem: PlanningProblem, rules: OperationRules, images: IntArray, downlink: np.ndarray, guide: PlanningProblem
-) -> Iterator[IntArray]:
-    """Ways to downlink worth trying: as planned where seconds may be scattered, else a block a pass, more or fewer."""
-    if not rules.sequenced:
+    problem: PlanningProblem, rules: OperationRules, images: IntArray, downlink: np.ndarray, guide: PlanningProblem,
+    fitted: bool,
+) -> Iterator[IntArray]:  # fmt: skip
+    """Ways to downlink worth trying: as planned where seconds may be scattered, else a block a pass, more or fewer.
+
+    Downlinks ``fitted`` to recordings stay as they are where nothing is said against scattered ones.
+    """
+    scattered = rules.mode_switch_s == 0 and rules.max_commands_per_day is None
+    if not rules.sequenced or (fitted and scattered):
         yield downlink.astype(np.int64)
         return
     most = rules.max_commands_per_day
@@ -128,7 +144,7 @@ def finished(problem: PlanningProblem, recording: IntArray, downlink: IntArray) 
     """
     recording = recording.copy()
     while True:
-        full, images = _with_fillers(problem, recording)
+        full, images = with_fillers(problem, recording)
         timeline = Timeline(images, _without_empty(full, images, downlink), np.zeros(0, np.int64))
         broken = first_shortfall(full, images, timeline.downlink)
         if broken is None:
@@ -137,7 +153,8 @@ def finished(problem: PlanningProblem, recording: IntArray, downlink: IntArray) 
             raise RuntimeError(f"rule {broken.rule} is broken at second {broken.second} without any new recording")
 
 
-def _with_fillers(problem: PlanningProblem, recording: IntArray) -> tuple[PlanningProblem, IntArray]:
+def with_fillers(problem: PlanningProblem, recording: IntArray) -> tuple[PlanningProblem, IntArray]:
+    """``problem`` with an image for every recorded second that sees no target, and all images of ``recording``."""
     own = problem.images
     old = np.zeros(recording.shape, bool)
     old[problem.frozen.satellite, problem.frozen.second] = True

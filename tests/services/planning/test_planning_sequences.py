@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.planning.data_cycles import build_chunks
 from services.planning.operations import judge, make_plan
 from services.planning.options.rules import OperationRules
 from services.planning.planner import Options
+from services.planning.request import Request, build
+from services.planning.sequencing.windows import recording_windows
 from tests.services.planning.planning_brute_force import best_sequence
 from tests.services.planning.planning_cases import Case, random_case
 
@@ -90,7 +93,7 @@ def test_search_keeps_every_rule_and_never_beats_the_exact_plan(
         quick = Options(mip_gap=0.0, active_mandatory="false", work_limit=0.2)
         found = make_plan(case.tables, case.spacecraft, options=quick, rules=rules, price=False)
     assert found.plan.objective <= exact.plan.bound + 1e-6
-    assert found.plan.objective <= found.plan.bound + 1e-9
+    assert exact.plan.objective <= found.plan.bound + 1e-6, "what windows bound is any plan of recordings"
 
 
 @pytest.mark.parametrize(("seed", "possible"), [(600, True), (601, False)])
@@ -106,8 +109,67 @@ def test_only_a_proof_says_that_mandatory_targets_cannot_be_met(
     assert [one["possible"] for one in told] == ([True, True] if possible else [False, None])
 
 
+@pytest.mark.parametrize("seed", range(700, 708, 2))
+def test_windows_hold_what_their_seconds_see(seed: int) -> None:
+    """Against sets of seconds: dear targets exactly, the worth of the others at least; and one for every long take."""
+    case, least = small(seed, satellites=2, pointings=1 + seed // 2 % 2), 3
+    problem = build(Request(case.tables, case.spacecraft))
+    own, dear = problem.images, np.flatnonzero(problem.targets.active)
+    price = np.where(problem.targets.active, 0.0, problem.targets.value)
+    windows = recording_windows(problem, build_chunks(problem), least, dear, price, energy=True, most=1000)
+    assert windows is not None
+    best: dict[tuple[int, ...], float] = {}
+    for i in range(len(windows)):
+        seconds = range(windows.second[i], windows.second[i] + windows.length[i])
+        inside = np.isin(own.second, seconds) & (own.satellite == windows.satellite[i])
+        inside &= own.pointing_of() == windows.pointing[i]
+        seen = {int(t) for image in np.flatnonzero(inside) for t in own.covered(int(image))}
+        assert least <= windows.length[i] < 2 * least
+        assert problem.commandable[windows.satellite[i], seconds].all()
+        assert set(dear[windows.dear[[i]].indices].tolist()) == seen & set(dear.tolist())
+        assert windows.worth[i] >= price[sorted(seen)].sum() - 1e-9
+        best[tuple(sorted(seen))] = windows.worth[i]
+    assert len(best) > 1
+
+
+def test_windows_prove_that_storage_has_no_room_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two active targets too far apart for one recording, and storage for one: known without a look at seconds."""
+    case = Case(
+        [(0, "CYGFM01", 1, [1]), (1, "CYGFM01", 7, [2]), (2, "CYGFM01", 8, [3])],
+        {1: ("active", 1.0), 2: ("active", 0.9), 3: ("prefire", 2.0)}, [("CYGFM01", "hawaii", 10, 11)],
+        craft={"battery_initial_wh": 10.0, "storage_images": 5, "horizon_s": 11},
+    )  # fmt: skip
+    rules = OperationRules(min_collect_s=3)
+    exact = make_plan(case.tables, case.spacecraft, rules=rules, price=False)
+    monkeypatch.setattr("services.planning.sequencing.sequence.LARGEST_CELLS", 0)
+    found = make_plan(case.tables, case.spacecraft, rules=rules, price=False)
+    for made in (exact, found):
+        assert made.plan.mandatory_possible is False
+        assert made.plan.objective == pytest.approx(11.0)
+        assert made.plan.bound == pytest.approx(11.0)
+        assert made.report["bound_of"] == "this case"
+        assert made.report["active_mandatory"]["dropping"]["active_observed_at_most"] == 1
+
+
+@pytest.mark.parametrize("seed", range(800, 806))
+def test_dropping_the_constraint_is_priced_under_the_same_rules(seed: int) -> None:
+    """Against all sequences: as many active targets as recordings leave room for, then the most reward."""
+    case, rules, bonus = small(seed), RULES["all"], 1000.0
+    made = make_plan(case.tables, case.spacecraft, options=Options(mip_gap=0.0), rules=rules, price=False)
+    price = made.report["active_mandatory"]["dropping"]
+    favoured = {t: (kind, r + bonus * (kind == "active")) for t, (kind, r) in case.rewards.items()}
+    best = best_sequence(replace(case, rewards=favoured), rules)
+    most = int(best // (10 * bonus))
+    observed = made.report["targets"]["active"]["planned"]
+    if price is None:
+        assert observed == most
+    else:
+        assert (price["active_observed"], price["active_observed_at_most"]) == (observed, most)
+        assert price["reward_with_most_active"] == pytest.approx(best - 10 * bonus * most)
+
+
 @pytest.mark.parametrize("seed", range(600, 606))
-def test_the_previous_plan_may_break_what_new_commands_must_keep(seed: int) -> None:
+def test_the_previous_plan_may_break_what_new_commands_must_keep(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rules switched on in mid-plan bind new commands only; frozen recordings stay however short they are."""
     from tests.services.planning.planning_cases import at
 
@@ -119,3 +181,9 @@ def test_the_previous_plan_may_break_what_new_commands_must_keep(seed: int) -> N
     assert verdict.valid
     early = previous[(previous["command"] == "collect") & (previous["start"] < at(5))]
     assert set(early["image_id"]) <= set(made.schedule["image_id"].dropna())
+    free = {"previous": previous, "rules": rules, "price": False, "options": EXACT}
+    exact = make_plan(case.tables, case.spacecraft, **free)
+    monkeypatch.setattr("services.planning.sequencing.sequence.LARGEST_CELLS", 0)
+    found = make_plan(case.tables, case.spacecraft, **free)
+    assert found.plan.objective <= exact.plan.bound + 1e-6
+    assert exact.plan.objective <= found.plan.bound + 1e-6
