@@ -63,3 +63,8 @@ class OperationRules:
     def sequenced(self) -> bool:
         """Whether plans must be made of recordings: what totals per data cycle cannot express."""
         return self.min_collect_s > 1 or self.mode_switch_s > 0 or self.max_commands_per_day is not None
+
+    @property
+    def free_downlinks(self) -> bool:
+        """Whether downlinks may be scattered over single seconds: no switches and no budget of commands forbid it."""
+        return self.mode_switch_s == 0 and self.max_commands_per_day is None

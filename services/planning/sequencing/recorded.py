@@ -102,7 +102,8 @@ def _guidance(
     images = np.flatnonzero(begin[own.satellite, own.second] == own.pointing_of())
     full, recorded_seconds = with_fillers(wished, begin)
     sent = emit_timeline(full, recorded_seconds, required)
-    downlink = sent.downlink if program.energy else spare_downlinks(wished, begin, sent.downlink)
+    spare = rules.free_downlinks and not program.energy
+    downlink = spare_downlinks(wished, begin, sent.downlink) if spare else sent.downlink
     chosen = replace(chosen, time_limited=chosen.time_limited or sent.time_limited)
     return found, _Lead(wished, images, downlink, begin, chosen)
 
@@ -116,7 +117,7 @@ def _bound(
         return min(found.bound, exact), THIS_CASE
     if chosen is None or chosen.bound >= found.bound or (chosen.possible and not met):
         return found.bound, WITHOUT_SEQUENCE
-    alone = rules.mode_switch_s == 0 and rules.max_commands_per_day is None and len(wished.pointings) < 2
+    alone = rules.free_downlinks and len(wished.pointings) < 2
     return chosen.bound, THIS_CASE if alone else RECORDINGS_ALONE
 
 

@@ -18,8 +18,8 @@ REQUIRED_BONUS = 1e6
 """Extra value of a mandatory target inside the search: no sum of others outweighs it."""
 HOT, COLD = 1.0, 0.01
 """Annealing temperatures, in mean values of the shortest recording."""
-WARM, FROZEN = 0.015, 0.003
-"""The same from a plan to begin with, which is not to be lost."""
+WARM, REPAIR, FROZEN = 0.015, 0.3, 0.003
+"""The same from a plan to begin with, which is not to be lost; warmer where switches and budgets displace a part."""
 FAVOURED_SHARE = 0.35
 """Share of the proposals around images that see a target worth far more than most, which are few."""
 FAVOURED_VALUE = 5.0
@@ -59,7 +59,7 @@ def search_recordings(
             cut = True
             break
         batch = min(BATCH_MOVES, moves - done)
-        first, last = (HOT, COLD) if begin is None else (WARM, FROZEN)
+        first, last = (HOT, COLD) if begin is None else (WARM if rules.free_downlinks else REPAIR, FROZEN)
         hot, cold = (scale * rules.min_collect_s * first * (last / first) ** (x / moves) for x in (done, done + batch))
         anneal_blocks(batch, hot, cold, state, best=best, totals=totals, **space)
         done += batch

@@ -118,8 +118,7 @@ def _downlink_ways(
 
     Downlinks ``fitted`` to recordings stay as they are where nothing is said against scattered ones.
     """
-    scattered = rules.mode_switch_s == 0 and rules.max_commands_per_day is None
-    if not rules.sequenced or (fitted and scattered):
+    if not rules.sequenced or (fitted and rules.free_downlinks):
         yield downlink.astype(np.int64)
         return
     most = rules.max_commands_per_day
