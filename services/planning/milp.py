@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -32,6 +32,25 @@ class DataCycleModel:
     images: int
     groups: int
     links: int
+    cuts: int = 0
+    """Rows right after those of coverage that every set of whole images satisfies (`with_cuts`)."""
+
+    @property
+    def priced(self) -> int:
+        """Rows that speak of images and groups only: coverage and cuts."""
+        return self.groups + self.cuts
+
+
+def with_cuts(model: DataCycleModel, rows: sparse.csr_array, high: FloatArray) -> DataCycleModel:
+    """The model with further rows, ``rows`` v <= ``high``, in place of the cuts it has."""
+    matrix = sparse.csr_array(sparse.vstack([model.matrix[: model.groups], rows, model.matrix[model.priced :]]))
+    matrix.sort_indices()
+    none = np.full(len(high), -np.inf)
+    return replace(
+        model, matrix=matrix, cuts=len(high),
+        row_low=np.concatenate([model.row_low[: model.groups], none, model.row_low[model.priced :]]),
+        row_high=np.concatenate([model.row_high[: model.groups], high, model.row_high[model.priced :]]),
+    )  # fmt: skip
 
 
 def build_model(problem: PlanningProblem, chunks: Chunks, coverage: Coverage) -> DataCycleModel:

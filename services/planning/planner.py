@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from services.planning.bounded_search import Progress, search_with_bound
 from services.planning.coverage import Coverage, reduce_coverage, without_idle
 from services.planning.data_cycles import Chunks, build_chunks
 from services.planning.downlinks import Timeline, emit_timeline
 from services.planning.early import earlier_images
 from services.planning.fitting import with_offers
-from services.planning.greedy import complete, greedy_images
-from services.planning.guidance import Guidance, exact_guidance, is_large, rough_guidance
-from services.planning.milp import DataCycleModel, build_model
+from services.planning.greedy import complete
+from services.planning.milp import build_model
 from services.planning.problem import BoolArray, IntArray, PlanningProblem
-from services.planning.search.guided import Start, quick_plan, refined_plan, search_plan, search_start
-from services.planning.solving import Solution, branch_and_bound, trivial_bound
+from services.planning.solving import Solution, branch_and_bound
 from services.planning.timeline import TOLERANCE_WH, battery_wh
+from services.planning.work import DEFAULT_WORK, Clock, shared_work
 from shared.errors import DomainError
 
 SMALL_ENTRIES = 12_000
@@ -29,13 +27,6 @@ PROVEN_GAP = 1e-8
 """A relative gap that is rounding: nothing is left to search for."""
 NODES = 400
 ROUNDS = 6
-MOVES_PER_UNIT = 1_000_000
-DEFAULT_WORK = 20.0
-EXACT_SHARE, ROUNDS_PER_UNIT = 0.2, 0.1
-"""Of work beyond the default, the share that goes on exact improvement by halves, and rounds for each unit of it all:
-annealing gains little then."""
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -69,17 +60,6 @@ class Plan:
     def gap(self) -> float:
         """(bound - objective) / bound; 0 where nothing can be gained."""
         return max(0.0, (self.bound - self.objective) / self.bound) if self.bound > 0 else 0.0
-
-
-@dataclass(frozen=True)
-class Clock:
-    """The guard: seconds left of ``limit_s`` since ``started``."""
-
-    started: float
-    limit_s: float
-
-    def left(self) -> float:
-        return self.limit_s - (time.monotonic() - self.started)
 
 
 def plan(problem: PlanningProblem, options: Options, progress: Progress = lambda percent, text: None) -> Plan:
@@ -252,51 +232,9 @@ def _solve(
         value = problem.objective(chosen)
         if first.feasible and first.bound - value <= max(options.mip_gap, PROVEN_GAP) * max(first.bound, 1e-9):
             return chosen, first.bound, "branch and bound", first.time_limited
-    best, bound, cut = _search(problem, chunks, coverage, model, seed, first, options, clock, progress)
+    best, bound, cut = search_with_bound(
+        problem, chunks, coverage, model, seed, first, shared_work(options.work_limit), clock, progress
+    )
     if first is not None and first.feasible:
         best = max(best, coverage.image[first.images > 0.5], key=problem.objective)
     return best, bound, "interior-point and quota bounds, heat-bath annealing", cut
-
-
-def _search(
-    problem: PlanningProblem, chunks: Chunks, coverage: Coverage, model: DataCycleModel, seed: IntArray | None,
-    first: Solution | None, options: Options, clock: Clock, progress: Progress,
-) -> tuple[IntArray, float, bool]:  # fmt: skip
-    """Images, proven bound and whether time cut it: guidance, quick search beside it, long search after it."""
-    greedy = greedy_images(problem, chunks)
-    bound = min(trivial_bound(model), first.bound if first is not None else np.inf)
-    _tell(progress, 16, "relaxation", problem.objective(greedy), bound)
-    extra = max(0.0, options.work_limit - DEFAULT_WORK)
-    moves = int((options.work_limit - extra * EXACT_SHARE) * MOVES_PER_UNIT)
-    rounds = int(extra * ROUNDS_PER_UNIT)
-
-    def quick() -> tuple[Guidance, Start, IntArray]:
-        rough = rough_guidance(model, chunks, coverage, clock.left)
-        start = search_start(problem, chunks, coverage, rough.relaxation, rough.quotas, seed)
-        return rough, start, quick_plan(start, moves, clock.left)
-
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        task = pool.submit(quick)
-        better = None if is_large(coverage) else exact_guidance(model, chunks, coverage, clock.left)
-        rough, start, known = task.result()
-    bound = min(bound, rough.bound, better.bound if better is not None else np.inf)
-    if better is not None:
-        start = search_start(problem, chunks, coverage, better.relaxation, better.quotas, seed)
-
-    def guard(done: int, images: IntArray) -> bool:
-        shown = max(problem.objective(images), problem.objective(known))
-        _tell(progress, 45 + 35 * done / max(1, moves), f"search {done}/{moves} steps", shown, bound)
-        return clock.left() <= 0
-
-    images, cut = search_plan(start, moves, guard, clock.left)
-    images, late = refined_plan(start, images, rounds, lambda done, better: guard(moves, better), clock.left)
-    cut |= late
-    cut |= (better is None and not is_large(coverage)) or rough.time_limited
-    cut |= any(found is not None and found.time_limited for found in (better, first))
-    candidates = [images, known] if seed is not None else [images, known, greedy]
-    return max(candidates, key=problem.objective), bound, cut
-
-
-def _tell(progress: Progress, percent: float, stage: str, incumbent: float, bound: float) -> None:
-    gap = max(0.0, 1 - incumbent / bound) if bound > 0 else 0.0
-    progress(percent, f"{stage}, incumbent {incumbent:.7g}, bound {bound:.7g}, gap {100 * gap:.3f} %")

@@ -1,9 +1,10 @@
 """Whole images per chunk: a small integer program over totals only, as guidance and as a tighter bound than the LP.
 
-With multipliers y on the coverage rows (equation 2), every image is worth the sum of its groups' y, and what a chunk
-collects depends on its number of images only: the sum S_c(n) of its n dearest. The best whole n and downlinks for
-sum of S_c(n_c), plus sum over groups of max((v - y) x), bound every plan (Lagrangian relaxation, Geoffrion 1974,
-doi:10.1007/BFb0120690); the relaxation's own optimum is the same with fractional n, so this bound is never weaker.
+With multipliers y on the coverage rows (equation 2) and on the cuts, every image is worth what it adds to them, and
+what a chunk collects depends on its number of images only: the sum S_c(n) of its n dearest. The best whole n and
+downlinks for sum of S_c(n_c), plus what the groups' rewards exceed their multipliers, bound every plan (Lagrangian
+relaxation, Geoffrion 1974, doi:10.1007/BFb0120690); the relaxation's own optimum is the same with fractional n, so this
+bound is never weaker.
 """
 
 from __future__ import annotations
@@ -55,11 +56,12 @@ class _Worth:
 
 
 def _worth(model: DataCycleModel, chunks: Chunks, coverage: Coverage, relaxation: Solution, dual: FloatArray) -> _Worth:
-    y = np.maximum(0.0, dual[: model.groups])
-    left = model.cost[model.images : model.images + model.groups] - y
+    y = np.maximum(0.0, dual[: model.priced])
+    reduced = model.cost - model.matrix[: model.priced].T @ y
     box = slice(model.images, model.images + model.groups)
-    constant = np.where(left > 0, model.high[box], model.low[box]) * left
-    price = coverage.matrix() @ y
+    constant = np.append(np.where(reduced[box] > 0, model.high[box], model.low[box]) * reduced[box],
+                         y * model.row_high[: model.priced])  # fmt: skip
+    price = reduced[: model.images]
     chunk_of = chunks.image_chunk[coverage.image]
     used, column = np.unique(chunk_of, return_index=True)
     fixed = model.low[: model.images] > 0
@@ -101,7 +103,7 @@ def _tangents(worth: _Worth, curvature: float) -> tuple[sparse.csr_array, FloatA
 def _model(model: DataCycleModel, worth: _Worth, curvature: float) -> DataCycleModel:
     """Columns (n, z, d, u, b): the resource rows of ``model`` with its images counted per chunk, and the tangents."""
     count, begin = len(worth.chunk), model.images + model.groups
-    resources = sparse.csc_array(model.matrix[model.groups :])
+    resources = sparse.csc_array(model.matrix[model.priced :])
     tangents, height = _tangents(worth, curvature)
     matrix = sparse.csr_array(sparse.block_array([
         [resources[:, worth.column], sparse.csc_array((resources.shape[0], count)), resources[:, begin:]],
@@ -113,8 +115,8 @@ def _model(model: DataCycleModel, worth: _Worth, curvature: float) -> DataCycleM
     rest = np.zeros(matrix.shape[1] - 2 * count)
     return DataCycleModel(
         np.concatenate([np.zeros(count), np.ones(count), rest]), matrix,
-        np.concatenate([model.row_low[model.groups :], np.full(len(height), -np.inf)]),
-        np.concatenate([model.row_high[model.groups :], height]),
+        np.concatenate([model.row_low[model.priced :], np.full(len(height), -np.inf)]),
+        np.concatenate([model.row_high[model.priced :], height]),
         np.concatenate([worth.forced, np.full(count, -10.0 * top.sum()), model.low[begin:]]),
         np.concatenate([size, top, model.high[begin:]]), count, count, model.links,
     )  # fmt: skip

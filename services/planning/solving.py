@@ -35,6 +35,8 @@ class Solution:
     nodes: int = 0
     dual: FloatArray | None = None
     """Row multipliers of a relaxation."""
+    groups: FloatArray | None = None
+    """Values of x of a relaxation."""
 
 
 def to_proto(model: DataCycleModel, whole: BoolArray) -> model_pb2.ModelProto:
@@ -83,7 +85,7 @@ def solve_relaxation(model: DataCycleModel, time_limit_s: float) -> Solution:
     bound, reduced = lagrangian_bound(model, dual)
     return Solution(
         values[: model.images], _links(model, values), min(bound, trivial_bound(model)), reduced[: model.images],
-        feasible=True, time_limited=False, dual=dual,
+        feasible=True, time_limited=False, dual=dual, groups=values[model.images : model.images + model.groups],
     )  # fmt: skip
 
 

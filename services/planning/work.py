@@ -1,0 +1,42 @@
+"""How counted work is shared out (annealing, halves chosen exactly, rounds that tighten the bound), and the guard."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+DEFAULT_WORK = 20.0
+MOVES_PER_UNIT = 1_000_000
+EXACT_SHARE, HALVES_PER_UNIT = 0.2, 0.1
+"""Of work beyond the default, the share that goes on exact improvement by halves, and rounds for each unit of it all:
+annealing gains little then."""
+UNITS_PER_PROOF, PROOF_COST, MOST_PROOFS = DEFAULT_WORK, 4.0, 6
+"""A round that tightens the bound for every so many units, what it costs in units, and the most that still tell."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """Steps of each of two searches, rounds of halves, rounds that tighten the bound."""
+
+    moves: int
+    halves: int
+    proofs: int
+
+
+def shared_work(limit: float) -> Work:
+    """``limit`` in units of a million search steps on each of two cores."""
+    extra = max(0.0, limit - DEFAULT_WORK)
+    proofs = min(MOST_PROOFS, int(limit / UNITS_PER_PROOF))
+    moves = limit - extra * EXACT_SHARE - proofs * PROOF_COST
+    return Work(int(moves * MOVES_PER_UNIT), int(extra * HALVES_PER_UNIT), proofs)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The guard: seconds left of ``limit_s`` since ``started``."""
+
+    started: float
+    limit_s: float
+
+    def left(self) -> float:
+        return self.limit_s - (time.monotonic() - self.started)
