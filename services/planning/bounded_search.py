@@ -55,7 +55,7 @@ def search_with_bound(
 
     with ThreadPoolExecutor(max_workers=1) as pool:
         proof = better and pool.submit(
-            tightened_bound, model, chunks, coverage, better.relaxation, work.proofs, clock.left, proven.append
+            tightened_bound, better.model, chunks, coverage, better.relaxation, work.proofs, clock.left, proven.append
         )
         images, cut = search_plan(guided.start, work.moves, guard, clock.left)
         images, late = refined_plan(

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from services.planning.coverage import Coverage
 from services.planning.data_cycles import Chunks
-from services.planning.milp import DataCycleModel
+from services.planning.milp import DataCycleModel, with_cuts
+from services.planning.odd_sets import odd_set_rows, violated_odd_sets
 from services.planning.quotas import Quotas, whole_quotas
 from services.planning.solving import Solution, solve_relaxation, trivial_bound
 from services.planning.subgradient import guided_multipliers, rounds_for
@@ -20,6 +23,9 @@ from services.planning.subgradient import guided_multipliers, rounds_for
 LARGE_ENTRIES = 500_000
 """Image-target pairs beyond which an interior point takes longer than averaged subgradients deserve."""
 QUICK_ROUNDS, QUICK_STEPS, QUICK_LAST_STEP = 3, 60, 0.004
+POINT_ROUNDS, POINT_STEPS, POINT_LAST_STEP, POINT_REACH = 6, 150, 0.001, 1.0
+"""Subgradients whose mean choices show which odd sets the relaxation would break: with those from the start, one
+interior point does what would take two. Cycles longer than ``POINT_REACH`` cost more than they bring here."""
 RELAXATION_SHARE = 0.7
 """Share of the time left that the interior point may take before the guard cuts it."""
 DOUBT = 0.4
@@ -30,8 +36,10 @@ QUOTA_GUARD_S, LEAST_GUARD_S = 20.0, 0.5
 
 @dataclass(frozen=True)
 class Guidance:
-    """Multipliers and values (``relaxation``), whole-image ``quotas`` to start from, and the proven ``bound``."""
+    """Multipliers and values (``relaxation``) of ``model``, which may have cuts, whole-image ``quotas`` to start from,
+    and the proven ``bound``."""
 
+    model: DataCycleModel
     relaxation: Solution
     quotas: Quotas
     bound: float
@@ -61,23 +69,33 @@ def rough_guidance(model: DataCycleModel, chunks: Chunks, coverage: Coverage, le
             bound, cut = min(bound, proof.bound), cut or proof.time_limited
         doubt = DOUBT * float(coverage.value.mean())
         relaxation = replace(relaxation, reduced=relaxation.reduced + doubt)
-    return Guidance(relaxation, quotas, bound, cut)
+    return Guidance(model, relaxation, quotas, bound, cut)
 
 
 def exact_guidance(
     model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float]
 ) -> Guidance | None:
     """Interior point, then both quota programs side by side; None where the guard cut the interior point."""
-    relaxation = solve_relaxation(model, max(LEAST_GUARD_S, left() * RELAXATION_SHARE))
+    tight = _with_likely_cuts(model, chunks, coverage)
+    relaxation = solve_relaxation(tight, max(LEAST_GUARD_S, left() * RELAXATION_SHARE))
     if relaxation.dual is None:
         return None
     with ThreadPoolExecutor(max_workers=2) as pool:
-        tasks = [pool.submit(whole_quotas, model, chunks, coverage, relaxation, guide, _guard_s(left), True)
+        tasks = [pool.submit(whole_quotas, tight, chunks, coverage, relaxation, guide, _guard_s(left), True)
                  for guide in (True, False)]  # fmt: skip
         guide, proof = (task.result() for task in tasks)
     bound = min(relaxation.bound, proof.bound)
     cut = relaxation.time_limited or guide.time_limited or proof.time_limited
-    return Guidance(relaxation, guide, bound, cut)
+    return Guidance(tight, relaxation, guide, bound, cut)
+
+
+def _with_likely_cuts(model: DataCycleModel, chunks: Chunks, coverage: Coverage) -> DataCycleModel:
+    mean = guided_multipliers(
+        model, chunks, coverage, rounds=POINT_ROUNDS, steps=POINT_STEPS, last_step=POINT_LAST_STEP
+    ).images
+    seen = coverage.matrix()
+    sets = violated_odd_sets(seen, mean, np.minimum(1.0, seen.T @ mean), POINT_REACH)
+    return with_cuts(model, *odd_set_rows(seen, sets, len(model.cost)))
 
 
 def _guard_s(left: Callable[[], float]) -> float:

@@ -28,7 +28,8 @@ PRESENT = 1e-4
 MOST_IMAGES = 16
 """Groups seen by more images of a point than this are no edges: the rest of them would be too long."""
 REACH = 1.2
-"""Longest cycle looked at: its length counts an image twice where the inequality need not count it at all."""
+"""Longest cycle looked at: 1 is where an inequality by itself is no longer broken, but the length counts an image twice
+where the inequality need not count it at all."""
 LEAST_VIOLATION = 0.01
 PARALLEL = 2
 """Groups tried as the edge between the same two images, shortest first."""
@@ -62,17 +63,19 @@ def odd_set_rows(seen: sparse.csr_array, sets: sparse.csr_array, columns: int) -
     return rows, (sets.sum(axis=1) - 1) / 2
 
 
-def violated_odd_sets(seen: sparse.csr_array, image: FloatArray, group: FloatArray) -> sparse.csr_array:
+def violated_odd_sets(
+    seen: sparse.csr_array, image: FloatArray, group: FloatArray, reach: float = REACH
+) -> sparse.csr_array:
     """Odd sets (0/1, sets by groups) whose inequality the point breaks, worst first.
 
-    ``image`` and ``group`` are the relaxation's w and x. One shortest odd cycle through every image is looked at, for
-    the shortest and the second shortest edge between any two: not all violated sets are found.
+    ``image`` and ``group`` are the relaxation's w and x. One shortest odd cycle through every image is looked at, by
+    the shortest and by the second shortest edges between any two: not all violated sets are found.
     """
     covered = seen.T @ image
-    edges = _edges(seen, image, group, covered)
+    edges = _edges(seen, image, group, covered, reach)
     found: set[tuple[int, ...]] = set()
     for rank in range(PARALLEL):
-        found |= _odd_cycles(edges.among(_of_rank(edges, rank)))
+        found |= _odd_cycles(edges.among(_of_rank(edges, rank)), reach)
     sets = _as_rows(sorted(found), seen.shape[1])
     odd = sparse.csr_array(sets @ seen.T)
     odd.data = np.mod(odd.data, 2.0)
@@ -87,8 +90,8 @@ def _as_rows(sets: list[tuple[int, ...]], groups: int) -> sparse.csr_array:
     return sparse.csr_array((np.ones(len(member)), member, start), shape=(len(sets), groups))
 
 
-def _edges(seen: sparse.csr_array, image: FloatArray, group: FloatArray, covered: FloatArray) -> _Edges:
-    """Edges shorter than `REACH`: what a group's row leaves open, and the w of all its images but the two."""
+def _edges(seen: sparse.csr_array, image: FloatArray, group: FloatArray, covered: FloatArray, reach: float) -> _Edges:
+    """Edges shorter than ``reach``: what a group's row leaves open, and the w of all its images but the two."""
     present = np.flatnonzero(image > PRESENT)
     inside = sparse.csc_array(seen[present])
     size = np.diff(inside.indptr)
@@ -100,7 +103,7 @@ def _edges(seen: sparse.csr_array, image: FloatArray, group: FloatArray, covered
         i, j = np.triu_indices(count, 1)
         a, b = members[:, i], members[:, j]
         length = base[chosen][:, None] - image[a] - image[b]
-        near = length < REACH
+        near = length < reach
         of = np.broadcast_to(chosen[:, None], length.shape)
         parts.append((np.minimum(a, b)[near], np.maximum(a, b)[near], of[near], np.maximum(length[near], 1e-6)))
     return _Edges(*(np.concatenate([part[k] for part in parts]) for k in range(4)))
@@ -117,9 +120,9 @@ def _of_rank(edges: _Edges, rank: int) -> IntArray:
     return order[place == rank]
 
 
-def _odd_cycles(edges: _Edges) -> set[tuple[int, ...]]:
-    """Groups of a shortest odd cycle through every node, if shorter than `REACH`: a path between its two copies in the
-    graph whose every edge leads from one copy of the nodes to the other."""
+def _odd_cycles(edges: _Edges, reach: float) -> set[tuple[int, ...]]:
+    """Groups of a shortest odd cycle through every node, if shorter than ``reach``: a path between a node's two copies
+    in the graph whose every edge leads from one copy of the nodes to the other."""
     if not len(edges.a):
         return set()
     nodes, place = np.unique(np.concatenate([edges.a, edges.b]), return_inverse=True)
@@ -132,7 +135,7 @@ def _odd_cycles(edges: _Edges) -> set[tuple[int, ...]]:
     found: set[tuple[int, ...]] = set()
     for begin in range(0, count, SOURCES):
         source = np.arange(begin, min(count, begin + SOURCES))
-        distance, before = dijkstra(graph, indices=source, return_predecessors=True, limit=REACH)
+        distance, before = dijkstra(graph, indices=source, return_predecessors=True, limit=reach)
         ending = np.flatnonzero(np.isfinite(distance[np.arange(len(source)), source + count]))
         found |= _read_back(before[ending], source[ending], count, group_of)
     return found

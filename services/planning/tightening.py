@@ -32,12 +32,12 @@ def tightened_bound(
 ) -> tuple[float, bool]:  # fmt: skip
     """A bound on the objective of any plan, and whether time (``left`` seconds) cut it short.
 
-    ``relaxation`` is the interior point's of ``model``; each of at most ``rounds`` rounds adds the violated odd sets of
-    the last point and solves again. ``tell`` hears of every bound on the way. The bound follows from multipliers alone
-    (`lagrangian_bound`, `whole_quotas`), whatever the solver says.
+    ``relaxation`` is the interior point's of ``model``, which may have cuts; each of at most ``rounds`` rounds adds the
+    odd sets that the last point violates and solves again. ``tell`` hears of every bound on the way. The bound follows
+    from multipliers alone (`lagrangian_bound`, `whole_quotas`), whatever the solver says.
     """
     seen, last, best = coverage.matrix(), relaxation, relaxation.bound
-    sets = sparse.csr_array((0, model.groups))
+    sets = sparse.csr_array(model.matrix[model.groups : model.priced, model.images : model.images + model.groups])
     for _ in range(rounds):
         if last.groups is None or last.dual is None:
             break
@@ -57,7 +57,7 @@ def tightened_bound(
         sets, model, last = _without_slack(sets, tight, found)
         if gain < LEAST_GAIN * best:
             break
-    if not sets.shape[0] or left() <= 0:
+    if last is relaxation or left() <= 0:
         return best, left() <= 0
     proof = whole_quotas(model, chunks, coverage, last, False, max(LEAST_GUARD_S, min(QUOTA_GUARD_S, left())))
     return min(best, proof.bound), proof.time_limited
