@@ -37,6 +37,21 @@ class Timeline:
     time_limited: bool = False
 
 
+@dataclass(frozen=True)
+class Settled:
+    """Downlinks of a timeline that is exact but for the ``broken`` satellites (a mask)."""
+
+    downlink: NDArray[np.int16]
+    broken: BoolArray
+
+    def seconds(self, problem: PlanningProblem, chunks: Chunks, links: IntArray) -> IntArray:
+        """New seconds of each of ``links``."""
+        new = np.where(problem.frozen.downlink < 0, self.downlink, -1)
+        chunk, station = chunks.link_chunk[links], chunks.link_station[links]
+        spans = zip(chunks.satellite[chunk], chunks.start_s[chunk], chunks.end_s[chunk], station, strict=True)
+        return np.array([np.count_nonzero(new[s, begin:end] == g) for s, begin, end, g in spans], np.int64)
+
+
 def emit_timeline(
     problem: PlanningProblem, images: IntArray, required: BoolArray, cuts: tuple[tuple[int, int], ...] = ()
 ) -> Timeline:
@@ -48,10 +63,14 @@ def emit_timeline(
     """
     wanted = np.unique(np.concatenate([images, problem.frozen_images])).astype(np.int64)
     pool, kept, cut = wanted, wanted, False
-    for _ in range(REFINEMENTS * len(problem.satellites) + 2 * len(wanted)):
+    settled: Settled | None = None
+    for _ in range(2 * REFINEMENTS * len(problem.satellites) + 2 * len(wanted)):
         chunks = build_chunks(problem, cuts)
-        seconds, slow = _downlink_seconds(problem, chunks, kept)
+        seconds, slow = _downlink_seconds(problem, chunks, kept, settled)
         cut |= slow
+        if seconds is None and settled is not None:
+            settled = None
+            continue
         if seconds is None:
             # From all that may be had, not only from what went into coarser chunks.
             part, slow = fitting(problem, chunks, pool, required)
@@ -67,6 +86,7 @@ def emit_timeline(
             return Timeline(kept, downlink, np.setdiff1d(wanted, kept), cuts, cut)
         part, cuts = _mended(problem, chunks, kept, broken, cuts)
         pool, kept = np.setdiff1d(pool, np.setdiff1d(kept, part)), part
+        settled = Settled(downlink, np.isin(np.arange(len(problem.satellites)), [x.satellite for x in broken]))
     raise RuntimeError("no exact timeline exists even without new images")
 
 
@@ -107,24 +127,36 @@ def _finer(
     return tuple(sorted(new))
 
 
-def _fixed_model(problem: PlanningProblem, chunks: Chunks, images: IntArray, margin_wh: float) -> DataCycleModel:
+def _fixed_model(
+    problem: PlanningProblem, chunks: Chunks, images: IntArray, margin_wh: float, settled: Settled | None
+) -> tuple[DataCycleModel, BoolArray]:
+    """The model of ``images`` all taken, its early downlinks worth more than late ones, and which columns are whole."""
     model = held_model(problem, chunks, images)
-    low, cost = model.low.copy(), model.cost.copy()
+    low, high, cost, whole = model.low.copy(), model.high.copy(), model.cost.copy(), np.zeros(len(model.cost), bool)
     low[: model.images] = 1.0
-    low[len(low) - len(chunks) :] += margin_wh
-    begin = model.images + model.groups
+    links = slice(model.images + model.groups, model.images + model.groups + model.links)
     # early seconds are worth up to twice as much as late ones: throughput first, then latency
-    cost[begin : begin + model.links] = 2.0 - chunks.start_s[chunks.link_chunk] / problem.horizon_s
-    return replace(model, low=low, cost=cost)
+    cost[links] = 2.0 - chunks.start_s[chunks.link_chunk] / problem.horizon_s
+    whole[links] = True
+    free = np.ones(len(problem.satellites), bool) if settled is None else settled.broken
+    low[len(low) - len(chunks) :] += margin_wh * free[chunks.satellite]
+    if settled is not None:
+        held = np.flatnonzero(~free[chunks.satellite[chunks.link_chunk]])
+        low[held + links.start] = high[held + links.start] = settled.seconds(problem, chunks, held)
+        whole[held + links.start] = False
+    return replace(model, low=low, high=high, cost=cost), whole
 
 
-def _downlink_seconds(problem: PlanningProblem, chunks: Chunks, images: IntArray) -> tuple[IntArray | None, bool]:
-    """Whole seconds per link, as much and as early as possible (None: images do not fit), and whether time cut it."""
+def _downlink_seconds(
+    problem: PlanningProblem, chunks: Chunks, images: IntArray, settled: Settled | None
+) -> tuple[IntArray | None, bool]:
+    """Whole seconds per link, as much and as early as possible (None: images do not fit), and whether time cut it.
+
+    Satellites that ``settled`` does not call broken keep the seconds they have.
+    """
     cut = False
     for margin_wh in (BATTERY_MARGIN_WH, 0.0):
-        model = _fixed_model(problem, chunks, images, margin_wh)
-        whole = np.zeros(len(model.cost), bool)
-        whole[model.images + model.groups : model.images + model.groups + model.links] = True
+        model, whole = _fixed_model(problem, chunks, images, margin_wh, settled)
         solution = branch_and_bound(model, whole, LATENCY_GAP, NODES, GUARD_S)
         cut |= solution.time_limited
         if solution.feasible:

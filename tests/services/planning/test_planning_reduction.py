@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.planning import guidance
 from services.planning.building import build_problem
 from services.planning.coverage import reduce_coverage
 from services.planning.data_cycles import build_chunks
@@ -19,7 +20,14 @@ from services.planning.search.kernels import satellite_ok
 from services.planning.search.space import allot_downlinks, construct, energy_binds, search_space
 from services.planning.solving import branch_and_bound, solve_relaxation
 from services.planning.spacecraft_limits import satellite_limits
-from services.planning.subgradient import guided_multipliers
+from services.planning.subgradient import (
+    MOST_ROUNDS,
+    ROUNDS,
+    ROUNDS_WORK,
+    STEPS_PER_ROUND,
+    guided_multipliers,
+    rounds_for,
+)
 from tests.services.planning.planning_cases import Case, exhaustive_optimum, random_case
 
 
@@ -98,6 +106,26 @@ def test_averaged_subgradients_bound_every_plan(seed: int) -> None:
     again = guided_multipliers(build_model(problem_of(case), chunks, coverage), chunks, coverage)
     assert found.bound == again.bound
     assert np.array_equal(found.images, again.images)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_guidance_of_large_cases_bounds_every_plan(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guidance, "LARGE_ENTRIES", 0)
+    case = random_case(seed)
+    problem = problem_of(case)
+    chunks, coverage = reduced(problem)
+    found = guidance.rough_guidance(build_model(problem, chunks, coverage), chunks, coverage, lambda: 1000.0)
+    assert exhaustive_optimum(case) - 1e-6 <= found.bound <= found.relaxation.bound
+    assert not found.time_limited
+
+
+def test_rounds_fall_with_size_between_their_limits() -> None:
+    _, coverage = reduced(problem_of(random_case(1)))
+    sizes = (0, 10**5, 6 * 10**5, 10**6, 10**7)
+    rounds = [rounds_for(replace(coverage, group=np.zeros(size, np.int64))) for size in sizes]
+    assert rounds == sorted(rounds, reverse=True)
+    assert (rounds[0], rounds[-1]) == (MOST_ROUNDS, ROUNDS)
+    assert rounds[2] * STEPS_PER_ROUND * sizes[2] <= ROUNDS_WORK
 
 
 @pytest.mark.parametrize("seed", range(6))
