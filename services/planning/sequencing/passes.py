@@ -24,10 +24,14 @@ def whole_downlinks(
     near = _near_images(problem, images, rules)
     old = _near_frozen(problem, rules)
     used: dict[tuple[int, int], int] = {}
+    begun = _frozen_commands(problem)
     by_length = sorted(_wanted(problem, downlink), key=lambda item: (-item[1], item[0].start_s, item[0].satellite))
     for p, wanted in by_length:
         day = (p.satellite, _day(problem, p.start_s))
         if most is not None and used.get(day, 0) >= most:
+            continue
+        budget = rules.max_commands_per_day
+        if budget is not None and begun.get(day, 0) + used.get(day, 0) >= budget:
             continue
         span = slice(p.start_s, p.end_s)
         free = problem.commandable[p.satellite, span] & ~old[p.satellite, span] & ~taken[p.station, span]
@@ -57,6 +61,19 @@ def _wanted(problem: PlanningProblem, downlink: np.ndarray) -> list[tuple[Pass, 
 
 def _day(problem: PlanningProblem, second: int) -> int:
     return int((second + problem.horizon_start.timestamp()) // 86_400)
+
+
+def _frozen_commands(problem: PlanningProblem) -> dict[tuple[int, int], int]:
+    """Commands of the previous plan that begin on each day of a satellite."""
+    frozen, begun = problem.frozen, dict[tuple[int, int], int]()
+    recording = np.full(problem.sunlit.shape, -2)
+    recording[frozen.satellite, frozen.second] = 0 if frozen.pointing is None else frozen.pointing
+    for line, idle in ((recording, -2), (frozen.downlink.astype(np.int64), -1)):
+        earlier = np.concatenate([np.full((len(line), 1), idle), line[:, :-1]], axis=1)
+        for s, t in np.argwhere((line != idle) & (line != earlier)).tolist():
+            day = (s, _day(problem, t))
+            begun[day] = begun.get(day, 0) + 1
+    return begun
 
 
 def _longest(free: BoolArray) -> tuple[int, int]:

@@ -187,3 +187,16 @@ def test_the_previous_plan_may_break_what_new_commands_must_keep(seed: int, monk
     found = make_plan(case.tables, case.spacecraft, **free)
     assert found.plan.objective <= exact.plan.bound + 1e-6
     assert exact.plan.objective <= found.plan.bound + 1e-6
+
+
+def test_commands_of_the_previous_plan_count_for_the_day(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recording and a downlink are frozen, two commands a day are allowed: the search adds no downlink."""
+    from tests.services.planning.planning_cases import at
+
+    case = small(5187791, satellites=2)
+    previous = make_plan(case.tables, case.spacecraft).schedule
+    rules = OperationRules(min_collect_s=4, max_commands_per_day=2, frozen_until=at(5))
+    monkeypatch.setattr("services.planning.sequencing.sequence.LARGEST_CELLS", 0)
+    made = make_plan(case.tables, case.spacecraft, previous=previous, rules=rules, price=False, options=EXACT)
+    assert (made.schedule["start"] < at(5)).all()
+    assert len(made.schedule) == 2
