@@ -18,6 +18,8 @@ from services.planning.timeline import collected_seconds, first_shortfall
 
 MOVES_PER_UNIT = 150_000
 """Moves of the search in a unit of the work limit: they cost more than those of the search by totals."""
+LEAST_MOVES = 100_000
+"""Moves that are made whatever time is left."""
 TRIAL_SHARE = 0.06
 """Share of the moves spent on each way to downlink before the best goes on."""
 SEARCH_ALONE = "annealing over recordings"
@@ -80,20 +82,21 @@ def sequence(
     scale = _worth_of_image(guide, plan_images, required | problem.targets.active if begin is not None else required)
     moves = int(work * MOVES_PER_UNIT)
     best: tuple[float, IntArray] | None = None
-    cut = False
+    cut = seconds_left() <= 0
+    if cut:  # a short cooling all the same: better than no plan
+        moves = min(moves, LEAST_MOVES)
+    patience = (lambda _: False) if cut else (lambda _: seconds_left() <= 0)
     ways = list(_downlink_ways(problem, rules, plan_images, plan_downlink, guide, begin is not None))
-    trial = int(moves * TRIAL_SHARE) if len(ways) > 1 else 0
+    trial = int(moves * TRIAL_SHARE) if len(ways) > 1 and not cut else 0
     for way in ways if trial else ():
-        found = search_recordings(problem, rules, way, required, scale, trial, lambda _: seconds_left() <= 0, begin)
+        found = search_recordings(problem, rules, way, required, scale, trial, patience, begin)
         cut |= found.time_limited
         full, timeline = finished(problem, found.recording, way)
         value = _value(full, timeline, required)
         if best is None or value > best[0]:
             best = (value, way)
     way = best[1] if best is not None else ways[0]
-    found = search_recordings(
-        problem, rules, way, required, scale, max(1, moves - trial * len(ways)), lambda _: seconds_left() <= 0, begin
-    )
+    found = search_recordings(problem, rules, way, required, scale, max(1, moves - trial * len(ways)), patience, begin)
     full, timeline = finished(problem, found.recording, way)
     return Sequenced(full, timeline, float("inf"), SEARCH_ALONE, cut or found.time_limited)
 
