@@ -22,6 +22,8 @@ GUARD_S = 30.0
 GAP = 1e-4
 FREED_IMAGES = 2_000
 """Images that one program may choose among, so that its work does not grow with the constellation."""
+PART_IMAGES, PART_NODES = 500, 20
+"""The same where nothing is wrong, and nodes for it: a larger program gains hardly more and does not always end."""
 OFFERED = 0.1
 """Images offered to a satellite beyond those it takes, as a share of them."""
 WHOLE = 1e-6
@@ -44,7 +46,12 @@ def losses(problem: PlanningProblem, images: IntArray, asked: IntArray) -> Float
 
 
 def most_valuable(
-    problem: PlanningProblem, chunks: Chunks, held: IntArray, free: IntArray, required: BoolArray
+    problem: PlanningProblem,
+    chunks: Chunks,
+    held: IntArray,
+    free: IntArray,
+    required: BoolArray,
+    nodes: int = NODES,
 ) -> tuple[IntArray | None, bool]:
     """All of ``held`` and the most valuable of ``free`` that fit beside them; whether time cut the choice.
 
@@ -58,7 +65,7 @@ def most_valuable(
         low, whole = model.low.copy(), np.zeros(len(model.cost), bool)
         low[len(coverage.image) : model.images] = 1.0
         whole[: len(coverage.image)] = True
-        solution = branch_and_bound(replace(model, low=low), whole, GAP, NODES, GUARD_S)
+        solution = branch_and_bound(replace(model, low=low), whole, GAP, nodes, GUARD_S)
         if solution.feasible:
             taken = coverage.image[solution.images[: len(coverage.image)] > 0.5]
             return np.union1d(held, taken), solution.time_limited
@@ -117,7 +124,8 @@ def with_offers(
     for part in _parts(problem, images):
         mine = np.isin(problem.images.satellite[images], part) & ~np.isin(images, problem.frozen_images)
         offers = _offers(problem, images, part, int(np.ceil(OFFERED * mine.sum())))
-        better, slow = most_valuable(problem, chunks, images[~mine], np.union1d(images[mine], offers), required)
+        free = np.union1d(images[mine], offers)
+        better, slow = most_valuable(problem, chunks, images[~mine], free, required, PART_NODES)
         cut |= slow
         if better is not None and problem.objective(better) > problem.objective(images):
             images = better
@@ -127,7 +135,7 @@ def with_offers(
 def _parts(problem: PlanningProblem, images: IntArray) -> Iterator[IntArray]:
     """Satellites in turn, as many at a time as one program bears."""
     sizes = np.bincount(problem.images.satellite[images], minlength=len(problem.satellites))
-    part = (np.cumsum(sizes) - 1).clip(0) // FREED_IMAGES
+    part = (np.cumsum(sizes) - 1).clip(0) // PART_IMAGES
     for number in np.unique(part):
         yield np.flatnonzero(part == number)
 
