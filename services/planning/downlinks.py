@@ -64,7 +64,7 @@ def emit_timeline(
     wanted = np.unique(np.concatenate([images, problem.frozen_images])).astype(np.int64)
     pool, kept, cut = wanted, wanted, False
     settled: Settled | None = None
-    for _ in range(2 * REFINEMENTS * len(problem.satellites) + 2 * len(wanted)):
+    for _ in range(2 * REFINEMENTS * max(1, len(problem.satellites)) + 2 * len(wanted)):
         chunks = build_chunks(problem, cuts)
         seconds, slow = _downlink_seconds(problem, chunks, kept, settled)
         cut |= slow

@@ -6,6 +6,7 @@ multipliers give a bound, quotas and a short search: what a guard that cuts earl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from services.planning.odd_sets import odd_set_rows, violated_odd_sets
 from services.planning.quotas import Quotas, whole_quotas
 from services.planning.solving import Solution, solve_relaxation, trivial_bound
 from services.planning.subgradient import guided_multipliers, rounds_for
+from services.planning.work import guard_s
 
 LARGE_ENTRIES = 500_000
 """Image-target pairs beyond which an interior point takes longer than averaged subgradients deserve."""
@@ -31,7 +33,7 @@ RELAXATION_SHARE = 0.7
 DOUBT = 0.4
 """Mean group values by which averaged subgradients may misjudge an image: so much less it may be worth and is searched
 all the same."""
-QUOTA_GUARD_S, LEAST_GUARD_S = 20.0, 0.5
+QUOTA_GUARD_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,11 @@ def rough_guidance(model: DataCycleModel, chunks: Chunks, coverage: Coverage, le
         relaxation = guided_multipliers(
             model, chunks, coverage, rounds=QUICK_ROUNDS, steps=QUICK_STEPS, last_step=QUICK_LAST_STEP
         )
-    quotas = whole_quotas(model, chunks, coverage, relaxation, True, _guard_s(left), exact=False)
+    quotas = whole_quotas(model, chunks, coverage, relaxation, True, guard_s(left, QUOTA_GUARD_S), exact=False)
     bound, cut = relaxation.bound, relaxation.time_limited or quotas.time_limited
     if large:
         if bound < trivial_bound(model):  # where everything can be had, whole numbers prove no more
-            proof = whole_quotas(model, chunks, coverage, relaxation, False, _guard_s(left), exact=True)
+            proof = whole_quotas(model, chunks, coverage, relaxation, False, guard_s(left, QUOTA_GUARD_S), exact=True)
             bound, cut = min(bound, proof.bound), cut or proof.time_limited
         doubt = DOUBT * float(coverage.value.mean())
         relaxation = replace(relaxation, reduced=relaxation.reduced + doubt)
@@ -75,28 +77,27 @@ def rough_guidance(model: DataCycleModel, chunks: Chunks, coverage: Coverage, le
 def exact_guidance(
     model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float]
 ) -> Guidance | None:
-    """Interior point, then both quota programs side by side; None where the guard cut the interior point."""
-    tight = _with_likely_cuts(model, chunks, coverage)
-    relaxation = solve_relaxation(tight, max(LEAST_GUARD_S, left() * RELAXATION_SHARE))
+    """Interior point, then both quota programs side by side; None where the guard left the interior point
+    without a point."""
+    tight, slow = _with_likely_cuts(model, chunks, coverage)
+    relaxation = solve_relaxation(tight, guard_s(lambda: left() * RELAXATION_SHARE, math.inf))
     if relaxation.dual is None:
         return None
     with ThreadPoolExecutor(max_workers=2) as pool:
-        tasks = [pool.submit(whole_quotas, tight, chunks, coverage, relaxation, guide, _guard_s(left), True)
+        guard = guard_s(left, QUOTA_GUARD_S)
+        tasks = [pool.submit(whole_quotas, tight, chunks, coverage, relaxation, guide, guard, True)
                  for guide in (True, False)]  # fmt: skip
         guide, proof = (task.result() for task in tasks)
     bound = min(relaxation.bound, proof.bound)
-    cut = relaxation.time_limited or guide.time_limited or proof.time_limited
+    cut = slow or relaxation.time_limited or guide.time_limited or proof.time_limited
     return Guidance(tight, relaxation, guide, bound, cut)
 
 
-def _with_likely_cuts(model: DataCycleModel, chunks: Chunks, coverage: Coverage) -> DataCycleModel:
-    mean = guided_multipliers(
+def _with_likely_cuts(model: DataCycleModel, chunks: Chunks, coverage: Coverage) -> tuple[DataCycleModel, bool]:
+    """The model with the odd sets that its relaxation is likely to break, and whether time cut their finding."""
+    rough = guided_multipliers(
         model, chunks, coverage, rounds=POINT_ROUNDS, steps=POINT_STEPS, last_step=POINT_LAST_STEP
-    ).images
-    seen = coverage.matrix()
+    )
+    seen, mean = coverage.matrix(), rough.images
     sets = violated_odd_sets(seen, mean, np.minimum(1.0, seen.T @ mean), POINT_REACH)
-    return with_cuts(model, *odd_set_rows(seen, sets, len(model.cost)))
-
-
-def _guard_s(left: Callable[[], float]) -> float:
-    return max(LEAST_GUARD_S, min(QUOTA_GUARD_S, left()))
+    return with_cuts(model, *odd_set_rows(seen, sets, len(model.cost))), rough.time_limited

@@ -76,14 +76,19 @@ def plan(problem: PlanningProblem, options: Options, progress: Progress = lambda
         chunks = build_chunks(problem, cuts)
         found = _plan_once(problem, chunks, options, clock, progress)
         if best is not None:
-            bound, cut = min(best.bound, found.bound), best.time_limited or found.time_limited
+            # a bound speaks of plans that keep what was mandatory when it was proven
+            same = best.mandatory_possible == found.mandatory_possible
+            bound = min(best.bound, found.bound) if same else found.bound
+            cut = best.time_limited or found.time_limited
             better = found if found.objective > best.objective else best
             found = replace(better, bound=max(bound, better.objective), time_limited=cut)
         best = found
         new = tuple(sorted({*cuts, *best.timeline.cuts}))
         small = best.model_size["entries_reduced"] <= SMALL_ENTRIES
-        if best.gap <= options.mip_gap or not small or new == cuts or clock.left() < 0:
+        if best.gap <= options.mip_gap or not small or new == cuts:
             break
+        if clock.left() < 0:
+            return replace(best, time_limited=True)
         cuts = new
     return best
 
@@ -113,6 +118,8 @@ def _plan_once(problem: PlanningProblem, chunks: Chunks, options: Options, clock
     timeline = _early(problem, chunks, _emit_full(problem, chunks, images, required, clock), required)
     objective = problem.objective(timeline.images)
     kept = mandatory and bool(problem.covered_targets(timeline.images)[required].all())
+    if mandatory and not kept:  # the bound spoke of plans that meet all of them
+        bound = float(problem.targets.value[seen].sum())
     size = {
         "images": len(problem.images), "images_reduced": len(coverage.image), "targets": int(seen.sum()),
         "target_groups": len(coverage.value), "entries_reduced": len(coverage.group), "chunks": len(chunks),

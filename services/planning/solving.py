@@ -70,7 +70,7 @@ def solve_relaxation(model: DataCycleModel, time_limit_s: float) -> Solution:
     """LP relaxation by interior point without crossover: guidance and a bound in seconds where simplex needs minutes.
 
     The bound is computed from the duals by weak duality, not taken from the solver's word. Presolve is off because
-    HiGHS cannot carry an interior point without a basis back through its postsolve.
+    HiGHS cannot carry an interior point without a basis back through its postsolve. A point that time cut still counts.
     """
     parameters = mathopt.SolveParameters(time_limit=datetime.timedelta(seconds=max(0.1, time_limit_s)))
     for name, value in {"solver": "ipm", "run_crossover": "off", "presolve": "off", "parallel": "off"}.items():
@@ -83,9 +83,10 @@ def solve_relaxation(model: DataCycleModel, time_limit_s: float) -> Solution:
     values = np.array(list(point.primal_solution.variable_values.values()))
     dual = np.array(list(point.dual_solution.dual_values.values()))
     bound, reduced = lagrangian_bound(model, dual)
+    cut = result is not None and result.termination.limit == mathopt.Limit.TIME
     return Solution(
         values[: model.images], _links(model, values), min(bound, trivial_bound(model)), reduced[: model.images],
-        feasible=True, time_limited=False, dual=dual, groups=values[model.images : model.images + model.groups],
+        feasible=True, time_limited=cut, dual=dual, groups=values[model.images : model.images + model.groups],
     )  # fmt: skip
 
 

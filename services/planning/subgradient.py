@@ -19,6 +19,7 @@ from services.planning.milp import DataCycleModel
 from services.planning.problem import FloatArray, IntArray
 from services.planning.quotas import whole_quotas
 from services.planning.solving import Solution, trivial_bound
+from services.planning.work import guard_s
 
 ROUNDS = 12
 STEPS_PER_ROUND = 150
@@ -28,8 +29,8 @@ ROUNDS_S = 120.0
 """Seconds that must be left for more than the least rounds."""
 LARGE, SMALL = 0.15, 0.0002
 """First and last step, as shares of a group's value for each image too many or too few."""
-QUOTA_GUARD_S, LEAST_GUARD_S = 60.0, 0.5
-"""Guard of one quota program, s: at most, and what it gets when no time is left."""
+QUOTA_GUARD_S = 60.0
+"""Guard of one quota program, s."""
 
 
 @njit(cache=True, nogil=True)
@@ -90,7 +91,7 @@ def guided_multipliers(
     cut = rounds > ROUNDS and left() < ROUNDS_S
     rounds = ROUNDS if cut else rounds
     for index in range(rounds):
-        quotas = whole_quotas(model, chunks, coverage, found, True, _guard_s(left), exact=False)
+        quotas = whole_quotas(model, chunks, coverage, found, True, guard_s(left, QUOTA_GUARD_S), exact=False)
         cut |= quotas.time_limited
         large, small = (LARGE * (last_step / LARGE) ** (x / rounds) for x in (index, index + 1))
         _steps(steps, large, small, y, mean_y, mean_w, quotas.images, order, first, coverage.start, coverage.group,
@@ -99,12 +100,8 @@ def guided_multipliers(
         if left() <= 0:
             cut = True
             break
-    proof = whole_quotas(model, chunks, coverage, found, False, _guard_s(left), exact=False)
+    proof = whole_quotas(model, chunks, coverage, found, False, guard_s(left, QUOTA_GUARD_S), exact=False)
     return _as_solution(model, chunks, coverage, mean_w, mean_y, quotas.links, min(best, proof.bound), cut)
-
-
-def _guard_s(left: Callable[[], float]) -> float:
-    return max(LEAST_GUARD_S, min(QUOTA_GUARD_S, left()))
 
 
 def _as_solution(

@@ -5,6 +5,7 @@ What the search finds does not depend on it, so it runs beside the search.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,12 +19,13 @@ from services.planning.odd_sets import odd_set_rows, violated_odd_sets
 from services.planning.problem import FloatArray
 from services.planning.quotas import whole_quotas
 from services.planning.solving import Solution, solve_relaxation
+from services.planning.work import guard_s
 
 PRICED = 1e-7
 """Inequalities with a smaller multiplier, in the largest group value, do not matter and go."""
 LEAST_GAIN = 2e-6
 """A round that takes less than this share off the bound is the last."""
-QUOTA_GUARD_S, LEAST_GUARD_S = 20.0, 0.5
+QUOTA_GUARD_S = 20.0
 
 
 def tightened_bound(
@@ -48,18 +50,17 @@ def tightened_bound(
             break
         sets = sparse.csr_array(sparse.vstack([sets, new]))
         tight = with_cuts(model, *odd_set_rows(seen, sets, len(model.cost)))
-        found = solve_relaxation(tight, max(LEAST_GUARD_S, left()))
-        if found.dual is None:
-            return best, True
-        gain = best - found.bound
-        best = min(best, found.bound)
+        found = solve_relaxation(tight, guard_s(left, math.inf))
+        gain, best = best - found.bound, min(best, found.bound)
         tell(best)
+        if found.dual is None or found.time_limited:
+            return best, True
         sets, model, last = _without_slack(sets, tight, found)
         if gain < LEAST_GAIN * best:
             break
     if last is relaxation or left() <= 0:
         return best, left() <= 0
-    proof = whole_quotas(model, chunks, coverage, last, False, max(LEAST_GUARD_S, min(QUOTA_GUARD_S, left())))
+    proof = whole_quotas(model, chunks, coverage, last, False, guard_s(left, QUOTA_GUARD_S))
     return min(best, proof.bound), proof.time_limited
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 DEFAULT_WORK = 20.0
@@ -13,6 +14,9 @@ annealing gains little then."""
 UNITS_PER_PROOF, PROOF_COST, MOST_PROOFS = 40.0, 6.0, 6
 """Beyond the default, a round that tightens the bound for every so many units, its cost in units, and the most that
 still tell."""
+
+LEAST_GUARD_S = 0.5
+"""What a small program gets when no time is left: it ends by itself, or leaves what it has."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,11 @@ def shared_work(limit: float) -> Work:
     proofs = min(MOST_PROOFS, int(extra / UNITS_PER_PROOF))
     moves = limit - extra * EXACT_SHARE - proofs * PROOF_COST
     return Work(int(moves * MOVES_PER_UNIT), int(extra * HALVES_PER_UNIT), proofs)
+
+
+def guard_s(left: Callable[[], float], most_s: float) -> float:
+    """Seconds for one small program: what is ``left``, at most ``most_s``, and a little when nothing is."""
+    return max(LEAST_GUARD_S, min(most_s, left()))
 
 
 @dataclass(frozen=True)

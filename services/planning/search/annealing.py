@@ -138,6 +138,8 @@ def anneal(
     ``stop(done, best set)`` between batches is the guard; ``left`` says how many seconds remain, and hurries the
     cooling where the steps will not fit them. The best set of all is returned, never one poorer than ``chosen``.
     """
+    if not len(space.chunk):  # no image can be taken at all
+        return SearchResult(chosen, space.objective(chosen), 0, False)
     runs = [Search(space, allotment, chosen, seed + index) for index in range(searches)]
     cooling, cut = _Cooling(moves, left), False
     with ThreadPoolExecutor(max_workers=searches) as pool:

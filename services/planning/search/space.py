@@ -65,7 +65,7 @@ def search_space(
         [x.downlink_s_per_image, x.downlink_s_per_image * x.storage_images,
          x.downlink_s_per_image * x.stored_images_initial, 3600 * x.battery_initial_wh, 3600 * x.battery_min_wh,
          3600 * x.battery_capacity_wh, x.collect_w, x.downlink_w] for x in problem.satellites
-    ], float)  # fmt: skip
+    ], float).reshape(-1, 8)  # fmt: skip
     space = SearchSpace(
         matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64),
         coverage.value + REQUIRED_BONUS * coverage.required, chunk_of[order],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from services.planning.operations import make_plan
@@ -72,3 +73,18 @@ def test_nothing_to_see_is_an_empty_plan() -> None:
     made = make_plan(empty.tables, empty.spacecraft)
     assert made.schedule.empty
     assert made.plan.objective == made.plan.bound == made.plan.gap == 0.0
+
+
+def test_nothing_at_all_is_planned_as_nothing() -> None:
+    case = Case([], {}, [])
+    made = make_plan(case.tables, case.spacecraft)
+    assert made.plan.objective == 0 and not len(made.schedule)
+
+
+def test_a_full_store_without_contacts_takes_no_image_of_many() -> None:
+    rng = np.random.default_rng(0)
+    shots = [(i, "CYGFM01", float(i), sorted(rng.choice(800, 25, replace=False).tolist())) for i in range(700)]
+    full = {"storage_images": 2, "satellites": {"CYGFM01": {"stored_images_initial": 2}}, "horizon_s": 800}
+    case = Case(shots, dict.fromkeys(range(800), ("prefire", 1.0)), [], craft={"battery_initial_wh": 10.0, **full})
+    made = make_plan(case.tables, case.spacecraft, price=False, options=Options(work_limit=0.3))
+    assert made.plan.objective == 0 and made.plan.bound == pytest.approx(0, abs=1e-3)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from scipy import sparse
 
+from services.planning import tightening
 from services.planning.milp import build_model
 from services.planning.odd_sets import odd_set_rows, violated_odd_sets
 from services.planning.solving import branch_and_bound, solve_relaxation
@@ -114,3 +116,13 @@ def test_without_time_the_relaxation_stands_and_the_cut_is_told() -> None:
 
 def _covered(coverage, images):  # type: ignore[no-untyped-def]
     return (coverage.matrix().T @ (images > 0.5)) > 0.5
+
+
+def test_an_interior_point_that_time_cut_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, chunks, coverage = model_of(crossing_case(0))
+    relaxation = solve_relaxation(model, 10.0)
+    assert not relaxation.time_limited
+    real = tightening.solve_relaxation
+    monkeypatch.setattr(tightening, "solve_relaxation", lambda m, s: replace(real(m, s), time_limited=True))
+    broken = replace(relaxation, images=np.full(model.images, 0.5), groups=np.ones(model.groups))
+    assert tightened_bound(model, chunks, coverage, broken, 6, lambda: 10.0)[1]
