@@ -27,6 +27,13 @@ def model_of(case: Case):  # type: ignore[no-untyped-def]
     return build_model(problem, chunks, coverage), chunks, coverage
 
 
+def triangle_case() -> Case:
+    """Room for two of a triangle's three images and one that sees a target of its own."""
+    shots = [(k, "CYGFM01", float(2 * k), targets) for k, targets in enumerate([[1, 2], [2, 3], [1, 3], [4]])]
+    rewards = dict.fromkeys((1, 2, 3, 4), ("prefire", 1.0))
+    return Case(shots, rewards, [], craft={"storage_images": 2, "battery_initial_wh": 10.0})
+
+
 def crossing_case(seed: int) -> Case:
     """Three satellites that store two of seven images each; an image sees two of twenty like targets."""
     rng = np.random.default_rng(seed)
@@ -73,11 +80,7 @@ def test_a_cycle_of_five_is_found_among_images_that_see_more() -> None:
 
 def test_a_triangle_and_a_single_are_proven_to_the_optimum() -> None:
     """Two of four images: all three groups of the triangle, or two of them and the single; halves would give 3.5."""
-    shots = [(k, "CYGFM01", float(2 * k), targets) for k, targets in enumerate([[1, 2], [2, 3], [1, 3], [4]])]
-    rewards = dict.fromkeys((1, 2, 3, 4), ("prefire", 1.0))
-    model, chunks, coverage = model_of(
-        Case(shots, rewards, [], craft={"storage_images": 2, "battery_initial_wh": 10.0})
-    )
+    model, chunks, coverage = model_of(triangle_case())
     relaxation = solve_relaxation(model, 10.0)
     assert relaxation.bound == pytest.approx(3.5, abs=1e-4)
     heard: list[float] = []
@@ -119,10 +122,11 @@ def _covered(coverage, images):  # type: ignore[no-untyped-def]
 
 
 def test_an_interior_point_that_time_cut_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    model, chunks, coverage = model_of(crossing_case(0))
+    model, chunks, coverage = model_of(triangle_case())
     relaxation = solve_relaxation(model, 10.0)
     assert not relaxation.time_limited
-    real = tightening.solve_relaxation
-    monkeypatch.setattr(tightening, "solve_relaxation", lambda m, s: replace(real(m, s), time_limited=True))
-    broken = replace(relaxation, images=np.full(model.images, 0.5), groups=np.ones(model.groups))
-    assert tightened_bound(model, chunks, coverage, broken, 6, lambda: 10.0)[1]
+    monkeypatch.setattr(
+        tightening, "solve_relaxation", lambda tight, _: replace(solve_relaxation(tight, 10.0), time_limited=True)
+    )
+    bound, cut = tightened_bound(model, chunks, coverage, relaxation, 3, lambda: 10.0)
+    assert cut and 3.0 <= bound < relaxation.bound
