@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from services.planning.baselines.manual import manual_plan
+from services.planning.bugs import PlanningBugError
 from services.planning.check.replay import replay
 from services.planning.check.verdict import Verdict
 from services.planning.data_cycles import build_chunks
@@ -26,14 +27,10 @@ from services.planning.sequencing.sequence import one_pointing
 from services.planning.spacecraft_limits import satellite_fields
 from services.planning.validation import check_horizon
 from shared.contracts.spacecraft import Spacecraft
-from shared.errors import DomainError, SmokeglintError
+from shared.errors import DomainError
 
 NAMED_TARGETS = 20
 """Targets that a refusal names one by one."""
-
-
-class PlanningBugError(SmokeglintError):
-    """A plan of ours that the independent replay rejects: never published."""
 
 
 @dataclass(frozen=True)

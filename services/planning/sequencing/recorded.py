@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from services.planning.bugs import PlanningBugError
 from services.planning.downlinks import emit_timeline
 from services.planning.options.rules import OperationRules
 from services.planning.planner import Options, Plan, Progress, plan
@@ -25,6 +26,8 @@ BOUND_SHARE, POLISH_SHARE = 0.05, 0.35
 wanted, and for the search over seconds. The rest is the program's, whose work is counted in nodes."""
 GAP = 5e-4
 """What the program over windows may leave, relative to its bound, unless less is asked for."""
+TOLERANCE = 1e-6
+"""Relative: how far a plan's worth may lie above its bound by rounding."""
 THIS_CASE = "this case"
 WITHOUT_SEQUENCE = "the same case without recordings, switches and slews"
 RECORDINGS_ALONE = "the same case with the shortest recording alone of all rules of sequence"
@@ -32,8 +35,12 @@ RECORDINGS_ALONE = "the same case with the shortest recording alone of all rules
 
 @dataclass(frozen=True)
 class _Lead:
-    """Where the search over seconds starts: images and downlinks on ``problem``, recordings (None: none yet)."""
+    """Where the search over seconds starts: images and downlinks on ``problem``, recordings (None: none yet).
 
+    ``guide`` is the problem that the plan by totals was made of.
+    """
+
+    guide: PlanningProblem
     problem: PlanningProblem
     images: IntArray
     downlink: np.ndarray
@@ -52,7 +59,7 @@ def recorded(
     found, lead = _guidance(wished, rules, options, required, left, progress)
     progress(82, "recordings")
     asked = required
-    if lead.chosen is not None and not lead.problem.covered_targets(lead.images)[required].all():
+    if lead.begin is not None and not lead.problem.covered_targets(lead.images)[required].all():
         # Not all can be met: equation 1 decides, or no exchange would ever be tried that gives one of them up.
         asked = required & pinned
     work = options.work_limit * (1 - GUIDE_SHARE if lead.begin is None else POLISH_SHARE)
@@ -61,7 +68,10 @@ def recorded(
     )  # fmt: skip
     objective = best.problem.objective(best.timeline.images)
     met = bool(best.problem.covered_targets(best.timeline.images)[required].all())
+    found = _without_demand(found, lead, best.bound, met, options, left)
     bound, bound_of = _bound(found, lead.chosen, best.bound, rules, wished, met)
+    if bound < objective - TOLERANCE * max(1.0, abs(objective)):
+        raise PlanningBugError(f"the plan is worth {objective}, more than the {bound} proven for {bound_of}")
     # A search that misses one proves nothing; a plan that not even fewer rules leave room for does.
     refuted = found.mandatory_possible is False or (np.isfinite(best.bound) and not best.time_limited)
     refuted |= lead.chosen is not None and lead.chosen.possible is False
@@ -69,7 +79,7 @@ def recorded(
     most = None if lead.chosen is None else lead.chosen.most + int(held.sum())
     made = replace(
         found, timeline=best.timeline, objective=objective, bound=max(objective, bound),
-        method=best.method if lead.chosen is None else "integer program over windows, " + best.method,
+        method=best.method if lead.begin is None else "integer program over windows, " + best.method,
         mandatory=found.mandatory and met,
         mandatory_possible=found.mandatory_possible if met else (False if refuted else None),
         time_limited=found.time_limited or best.time_limited or (lead.chosen is not None and lead.chosen.time_limited),
@@ -96,8 +106,8 @@ def _guidance(
         if program is not None:
             chosen = program.solve(required, pinned, min(GAP, options.mip_gap), left)
         found = task.result()
-    if program is None or chosen is None:
-        return found, _Lead(guide, found.timeline.images, found.timeline.downlink, None, None)
+    if program is None or chosen is None or chosen.recording is None:
+        return found, _Lead(guide, guide, found.timeline.images, found.timeline.downlink, None, chosen)
     begin, own = chosen.recording, wished.images
     images = np.flatnonzero(begin[own.satellite, own.second] == own.pointing_of())
     full, recorded_seconds = with_fillers(wished, begin)
@@ -105,7 +115,27 @@ def _guidance(
     spare = rules.free_downlinks and not program.energy
     downlink = spare_downlinks(wished, begin, sent.downlink) if spare else sent.downlink
     chosen = replace(chosen, time_limited=chosen.time_limited or sent.time_limited)
-    return found, _Lead(wished, images, downlink, begin, chosen)
+    return found, _Lead(guide, wished, images, downlink, begin, chosen)
+
+
+def _without_demand(
+    found: Plan, lead: _Lead, exact: float, met: bool, options: Options, left: Callable[[], float]
+) -> Plan:
+    """``found`` with a bound that holds for the plan returned too, if that misses targets which ``found`` had to meet.
+
+    That bound holds for plans alone that meet them all, and one that gives some up may be worth more. Nothing is
+    planned again where the rules' own programs prove a bound without them.
+    """
+    demanded = found.mandatory_possible is True and options.active_mandatory != "false"
+    if met or not demanded:
+        return found
+    if np.isfinite(exact) or (
+        lead.chosen is not None and np.isfinite(lead.chosen.bound) and not lead.chosen.all_demanded
+    ):
+        return replace(found, bound=float("inf"))
+    work = options.work_limit * BOUND_SHARE
+    free = plan(lead.guide, replace(options, active_mandatory="false", time_limit_s=left(), work_limit=work))
+    return replace(found, bound=free.bound, time_limited=found.time_limited or free.time_limited)
 
 
 def _bound(
@@ -115,7 +145,7 @@ def _bound(
     """The tightest bound known and what it is the bound of."""
     if np.isfinite(exact):
         return min(found.bound, exact), THIS_CASE
-    if chosen is None or chosen.bound >= found.bound or (chosen.possible and not met):
+    if chosen is None or chosen.bound >= found.bound or (chosen.all_demanded and not met):
         return found.bound, WITHOUT_SEQUENCE
     alone = rules.free_downlinks and len(wished.pointings) < 2
     return chosen.bound, THIS_CASE if alone else RECORDINGS_ALONE

@@ -34,13 +34,15 @@ COUNT_SHARE, VALUE_SHARE = 0.3, 0.7
 
 @dataclass(frozen=True)
 class ChosenRecordings:
-    """``recording``: (satellites, seconds) pointing or -1; ``bound`` on equation 1 of any plan of recordings.
+    """``recording``: (satellites, seconds) pointing or -1, None where none was found; ``bound`` on equation 1 of any
+    plan of recordings, with ``all_demanded`` of those alone that meet every demanded target.
 
     ``possible``: whether all demanded targets can be met together (None: not decided); ``most``: no more can.
     """
 
-    recording: IntArray
+    recording: IntArray | None
     bound: float
+    all_demanded: bool
     possible: bool | None
     most: int
     time_limited: bool
@@ -52,8 +54,9 @@ class RecordingProgram:
     def __init__(self, problem: PlanningProblem, least: int) -> None:
         self.problem, self.chunks, self.least = problem, build_chunks(problem), least
         value = problem.targets.value
+        mean = float(value.sum()) / max(1, len(value))
         self.held = problem.covered_targets(problem.frozen_images)
-        wanted = problem.targets.active | problem.targets.demanded() | (value > DEAR * float(value.mean()))
+        wanted = problem.targets.active | problem.targets.demanded() | (value > DEAR * mean)
         reachable = problem.covered_targets(np.arange(len(problem.images))) & ~self.held
         self.dear = np.flatnonzero(wanted & reachable)
         self.plain = reachable & ~wanted
@@ -64,23 +67,24 @@ class RecordingProgram:
     def _windows(self, most: int) -> Windows | None:
         return recording_windows(self.problem, self.chunks, self.least, self.dear, self.price, self.energy, most)
 
-    def settle_prices(self, left: Callable[[], float]) -> None:
+    def settle_prices(self, left: Callable[[], float]) -> bool:
         """Lower the price of targets that the relaxation counts more than once, then look closely at all windows.
 
         A plain target counts at its ``price`` in every window, and at what its value exceeds that once for all, which
-        bounds what it brings, whatever the price (Lagrangian relaxation).
+        bounds what it brings, whatever the price (Lagrangian relaxation). Returns whether time cut that short.
         """
         value, mean = self.problem.targets.value, np.zeros(len(self.price))
         for done in range(ROUNDS):
             if self.windows is None or not self.plain.any():
-                return
+                return False
             model = self._model(self.windows.worth, value[self.dear], np.zeros(len(self.dear), bool))
             relaxed = solve_relaxation(model, left() * COUNT_SHARE)
             if relaxed.dual is None:
-                return
+                return relaxed.time_limited
             mean += (self._cover(relaxed.images) - mean) / (done + 1)
             self.price = np.where(self.plain, value / np.maximum(1.0, mean), 0.0)
             self.windows = self._windows(CLOSELY if done == ROUNDS - 1 else ROUGHLY)
+        return False
 
     def _cover(self, share: FloatArray) -> FloatArray:
         """How often every target is held by windows of which there are so many."""
@@ -99,24 +103,27 @@ class RecordingProgram:
         """The best recordings with all ``required`` targets if these can be met, else with those ``pinned``.
 
         ``required`` and ``pinned`` are masks over all targets, ``gap`` is relative, ``left`` the guard in seconds. None
-        where nothing is to be chosen, or where not even the pinned can be met.
+        where there are no windows, or too many.
         """
         if self.windows is None:
             return None
         demanded, value = required[self.dear], self.problem.targets.value
         met, most, cut = self._count(demanded, left) if demanded.any() else (0, 0, False)
         possible = True if met == demanded.sum() else (False if most < demanded.sum() else None)
-        self.settle_prices(left)
+        cut |= self.settle_prices(left)
         if self.windows is None:
-            return None
+            return ChosenRecordings(None, float("inf"), False, possible, most, cut)
         constant = float(value[self.held].sum() + (value - self.price)[self.plain].sum())
-        for demand in (demanded, pinned[self.dear]) if possible else (pinned[self.dear],):
+        least = pinned[self.dear]
+        for demand in (demanded, least) if possible else (least,):
             model = self._model(self.windows.worth, value[self.dear], demand)
             found = branch_and_bound(model, self._whole(model), gap, NODES, left() * VALUE_SHARE)
             cut |= found.time_limited
             if found.feasible:
-                return ChosenRecordings(self._recording(found.images), found.bound + constant, possible, most, cut)
-        return None
+                more = bool((demand & ~least).any())
+                bound = found.bound + constant
+                return ChosenRecordings(self._recording(found.images), bound, more, possible, most, cut)
+        return ChosenRecordings(None, float("inf"), False, possible, most, cut)
 
     def _count(self, demanded: BoolArray, left: Callable[[], float]) -> tuple[int, int, bool]:
         """How many of the demanded dear targets are met together, how many can be at most, whether time cut that."""
@@ -145,7 +152,7 @@ class RecordingProgram:
             np.concatenate([worth, value, others]), matrix,
             np.concatenate([base.row_low, np.full(count, -np.inf)]), np.concatenate([base.row_high, np.zeros(count)]),
             np.concatenate([np.zeros(len(windows)), demanded, base.low[chunks:]]),
-            np.concatenate([np.ones(len(windows) + count), base.high[chunks:]]), len(windows), count, base.links,
+            np.concatenate([windows.times, np.ones(count), base.high[chunks:]]), len(windows), count, base.links,
         )  # fmt: skip
 
     def _seconds(self) -> tuple[sparse.csr_array, sparse.csr_array]:

@@ -3,7 +3,8 @@
 A recording of at least L seconds is one window of L to 2L-1 seconds or several side by side, so these lengths are all
 there is to choose from. A window is told by the data cycle's chunk that it fills, its length, the *dear* targets in it,
 each of which counts once in a plan, and the worth of the others, which is added up. Of windows that agree in chunk and
-dear targets the shorter and the worthier make the others needless.
+dear targets the shorter and the worthier make the others needless: one that is kept may then be chosen several times,
+for it stands for all that it makes needless, and of these a plan holds as many as lie side by side in the chunk.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Windows:
     """Windows [second, second + length) of a satellite under one pointing.
 
     ``chunk`` is the last that it touches, ``inside`` whether the only one. ``spread`` marks those that touch several,
-    one of them with downlinks. ``worth`` is that of all but the dear targets, never below the true one; ``dear`` is a
-    0/1 matrix, windows by dear targets.
+    one of them with downlinks. ``times`` is how often each may be chosen, itself or one that it stands for. ``worth``
+    is that of all but the dear targets, never below the true one; ``dear`` is a 0/1 matrix, windows by dear targets.
     """
 
     satellite: IntArray
@@ -42,6 +43,7 @@ class Windows:
     chunk: IntArray
     spread: BoolArray
     inside: BoolArray
+    times: IntArray
     worth: FloatArray
     dear: sparse.csr_array
 
@@ -113,22 +115,25 @@ def recording_windows(
     crossing = (first != last) & ~spread & energy
     place = satellite * problem.horizon_s + second
     group = np.where(spread, 2 * len(chunks) + place, 2 * last + crossing)
+    # All but the earliest of those that lie side by side in a chunk begin in it; those with a start or a chunk's
+    # beginning in common exclude each other.
+    times = np.where(spread | crossing, 1, -(-(chunks.end_s - chunks.start_s)[last] // length))
     for steps in WORTH_STEPS:
         step = max(1e-12, float(worth.max(initial=0.0))) / steps
         rounded = np.ceil(worth / step - 1e-9) * step
-        kept = _best_by_length(group, key, length, rounded)
+        kept = _best_by_length(group, key, length, rounded / step)
         if len(kept) <= most:
             break
     if len(kept) > 3 * MOST_LEFT:
         return None
     sets = _dear_sets(problem, where[kept], length[kept], dear)
-    best = kept[_undominated(group[kept], length[kept], rounded[kept], sets)]
+    best = kept[_undominated(group[kept], length[kept], rounded[kept] / step, sets)]
     if len(best) > MOST_LEFT:
         return None
     sets = sets[np.searchsorted(kept, best)]
     return Windows(
         satellite[best], second[best], length[best], where[best, 1], last[best], spread[best],
-        first[best] == last[best], rounded[best], sparse.csr_array(sets),
+        first[best] == last[best], times[best], rounded[best], sparse.csr_array(sets),
     )  # fmt: skip
 
 
