@@ -11,6 +11,8 @@ MOVES_PER_UNIT = 1_000_000
 EXACT_SHARE, HALVES_PER_UNIT = 0.2, 0.1
 """Of work beyond the default, the share that goes on exact improvement by halves, and rounds for each unit of it all:
 annealing gains little then."""
+FIRST_PROOF_SHARE = 0.2
+"""Of work up to the default, the share that the odd sets of the first relaxation take."""
 UNITS_PER_PROOF, PROOF_COST, MOST_PROOFS = 40.0, 6.0, 6
 """Beyond the default, a round that tightens the bound for every so many units, its cost in units, and the most that
 still tell."""
@@ -32,7 +34,8 @@ def shared_work(limit: float) -> Work:
     """``limit`` in units of a million search steps on each of two cores."""
     extra = max(0.0, limit - DEFAULT_WORK)
     proofs = min(MOST_PROOFS, int(extra / UNITS_PER_PROOF))
-    moves = limit - extra * EXACT_SHARE - proofs * PROOF_COST
+    first = min(limit, DEFAULT_WORK) * FIRST_PROOF_SHARE
+    moves = limit - first - extra * EXACT_SHARE - proofs * PROOF_COST
     return Work(int(moves * MOVES_PER_UNIT), int(extra * HALVES_PER_UNIT), proofs)
 
 
