@@ -196,7 +196,35 @@ class RecordingProgram:
             line = result[windows.satellite[i], windows.second[i] : windows.second[i] + windows.length[i]]
             if ((line < 0) | (line == windows.pointing[i])).all():
                 line[:] = windows.pointing[i]
+        for i in np.flatnonzero(share > 1.5):
+            for _ in range(round(float(share[i])) - 1):
+                self._place_again(result, int(i))
         return result
+
+    def _place_again(self, recording: IntArray, window: int) -> None:
+        """Where a window is chosen several times: another of its chunk, where most is left to see, if one is free."""
+        windows, chunks, own, value = self.windows, self.chunks, self.problem.images, self.problem.targets.value
+        assert windows is not None
+        s, c, length = windows.satellite[window], windows.chunk[window], int(windows.length[window])
+        begin, end = int(chunks.start_s[c]), int(chunks.end_s[c])
+        taken = np.flatnonzero(recording[own.satellite, own.second] == own.pointing_of())
+        worth = np.where(self.held | self.problem.covered_targets(taken), 0.0, value)
+        there = np.flatnonzero((own.satellite == s) & (own.second >= begin) & (own.second < end))
+        gain = np.zeros((max(1, len(self.problem.pointings)), end - begin + 1))
+        for i in there:
+            gain[own.pointing_of()[i], own.second[i] - begin + 1] = worth[own.covered(i)].sum()
+        frozen = self.problem.frozen
+        free = (
+            self.problem.commandable[s, begin:end] & (recording[s, begin:end] < 0) & (frozen.downlink[s, begin:end] < 0)
+        )
+        free[frozen.second[(frozen.satellite == s) & (frozen.second >= begin) & (frozen.second < end)] - begin] = False
+        open_s = np.concatenate([[0], np.cumsum(free)])
+        fits = open_s[length:] - open_s[:-length] == length
+        total = np.cumsum(gain, axis=1)
+        sums = np.where(fits, total[:, length:] - total[:, :-length], 0.0)
+        if sums.size and sums.max() > 0:
+            pointing, first = np.unravel_index(int(sums.argmax()), sums.shape)
+            recording[s, begin + first : begin + first + length] = pointing
 
 
 def _resources(problem: PlanningProblem, chunks: Chunks) -> DataCycleModel:

@@ -74,6 +74,8 @@ def test_windows_side_by_side_in_a_chunk_all_count() -> None:
     chosen = program.solve(none, none, 1e-6, lambda: 10.0)
     assert chosen is not None
     assert program.windows is not None
+    assert chosen.recording is not None
+    assert problem.objective(np.flatnonzero(chosen.recording[0, problem.images.second] == 0)) == pytest.approx(9.0)
     assert chosen.bound >= 9.0
     assert (program.windows.times == 20).all()
 
