@@ -79,7 +79,7 @@ def exact_guidance(
 ) -> Guidance | None:
     """Interior point, then both quota programs side by side; None where the guard left the interior point
     without a point."""
-    tight, slow = _with_likely_cuts(model, chunks, coverage)
+    tight, slow = _with_likely_cuts(model, chunks, coverage, left)
     relaxation = solve_relaxation(tight, guard_s(lambda: left() * RELAXATION_SHARE, math.inf))
     if relaxation.dual is None:
         return None
@@ -93,11 +93,15 @@ def exact_guidance(
     return Guidance(tight, relaxation, guide, bound, cut)
 
 
-def _with_likely_cuts(model: DataCycleModel, chunks: Chunks, coverage: Coverage) -> tuple[DataCycleModel, bool]:
-    """The model with the odd sets that its relaxation is likely to break, and whether time cut their finding."""
+def _with_likely_cuts(
+    model: DataCycleModel, chunks: Chunks, coverage: Coverage, left: Callable[[], float]
+) -> tuple[DataCycleModel, bool]:
+    """The model with the odd sets that its relaxation is likely to break; as it is where time cut their finding."""
     rough = guided_multipliers(
-        model, chunks, coverage, rounds=POINT_ROUNDS, steps=POINT_STEPS, last_step=POINT_LAST_STEP
+        model, chunks, coverage, left, rounds=POINT_ROUNDS, steps=POINT_STEPS, last_step=POINT_LAST_STEP
     )
+    if rough.time_limited:
+        return model, True
     seen, mean = coverage.matrix(), rough.images
     sets = violated_odd_sets(seen, mean, np.minimum(1.0, seen.T @ mean), POINT_REACH)
-    return with_cuts(model, *odd_set_rows(seen, sets, len(model.cost))), rough.time_limited
+    return with_cuts(model, *odd_set_rows(seen, sets, len(model.cost))), False
