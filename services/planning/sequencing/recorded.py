@@ -18,6 +18,7 @@ from services.planning.problem import BoolArray, IntArray, PlanningProblem
 from services.planning.sequencing.passes import spare_downlinks
 from services.planning.sequencing.recording_program import ChosenRecordings, RecordingProgram
 from services.planning.sequencing.sequence import is_small, one_pointing, sequence, with_fillers
+from services.planning.work import Clock
 
 GUIDE_SHARE = 0.5
 """Share of work and time for the plan by totals, where recordings are searched after it."""
@@ -53,8 +54,7 @@ def recorded(
 ) -> tuple[PlanningProblem, Plan, str]:
     """A plan that keeps the rules of sequence, the problem with the seconds it only runs through, and what its bound
     is the bound of."""
-    started = time.monotonic()
-    left: Callable[[], float] = lambda: options.time_limit_s - (time.monotonic() - started)  # noqa: E731
+    left = Clock(time.monotonic(), options.time_limit_s).left
     required, pinned = _required(wished, options), wished.targets.demanded()
     found, lead = _guidance(wished, rules, options, required, left, progress)
     progress(82, "recordings")
